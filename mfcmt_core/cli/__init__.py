@@ -1,0 +1,68 @@
+"""The ``mfcmt`` command: each subcommand is a module that is imported when it runs."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from typing import Protocol, cast
+
+from .. import __version__
+from ..errors import MFCMTError
+
+COMMANDS = {
+    "track": ("mfcmt_core.cli.track", "follow a box through images, a video or a camera"),
+    "eval": ("mfcmt_core.cli.evaluate", "score trackers on OTB: OPE, TRE, SRE"),
+    "bench": ("mfcmt_core.cli.bench", "milliseconds a frame, stage by stage, alone or beside other trackers"),
+    "warmup": ("mfcmt_core.cli.warmup", "compile the kernels for this CPU and keep them on disk"),
+    "serve": ("service.cli.serve", "run the tracking service"),
+    "load": ("service.cli.load", "drive a service with real frames and measure it"),
+    "demo": ("service.cli.demo", "stream a clip through a service and show what comes back"),
+}
+
+
+class Command(Protocol):
+    """What a subcommand's module defines."""
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Do the work; the exit code. Raises :class:`UsageError` for arguments that do not fit."""
+
+
+class UsageError(Exception):
+    """The arguments do not fit together or name what is not there: one line, exit code 2."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point of the console script: 0 done, 1 failed, 2 bad arguments, 130 interrupted."""
+    argv = sys.argv[1:] if argv is None else argv
+    parser = argparse.ArgumentParser(prog="mfcmt", description="Track a target through video on a CPU.")
+    parser.add_argument("--version", action="version", version=f"mfcmt {__version__}")
+    names = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    chosen = next((a for a in argv if a in COMMANDS), None)
+    module: Command | None = None
+    for name, (path, summary) in COMMANDS.items():
+        sub = names.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
+        if name == chosen:
+            try:
+                module = cast(Command, importlib.import_module(path))
+            except ModuleNotFoundError as missing:
+                if missing.name is None or missing.name.startswith(("mfcmt_core.", "service.")):
+                    raise
+                print(f"mfcmt {name}: needs {missing.name}: pip install 'mfcmt[service]'", file=sys.stderr)
+                return 1
+            module.configure(sub)
+    args = parser.parse_args(argv)
+    assert module is not None
+    try:
+        return module.run(args)
+    except UsageError as bad:
+        print(f"mfcmt {args.command}: {bad}", file=sys.stderr)
+        return 2
+    except MFCMTError as failed:
+        print(f"mfcmt {args.command}: {failed}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
