@@ -16,7 +16,7 @@ class BadBox(MFCMTError, ValueError):
 
 
 class BadImage(MFCMTError, ValueError):
-    """The image is not ``uint8`` of shape ``(H, W)`` or ``(H, W, 3)``, or not of the size of the first one."""
+    """The image is not ``uint8`` of shape ``(H, W)`` or ``(H, W, 3)``, or not of the first one's size."""
 
 
 class NotInitialised(MFCMTError, RuntimeError):
