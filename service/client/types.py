@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from base64 import b64decode
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -56,7 +57,10 @@ class Scores:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A target in one frame; ``reliable``, ``flags`` and ``scores`` are None where it started."""
+    """A target in one frame; ``reliable``, ``flags`` and ``scores`` are None where it started.
+
+    ``maps`` holds its response maps as PNG images by name, where the session was made with ``maps``.
+    """
 
     id: int
     box: Box
@@ -66,21 +70,23 @@ class Target:
     scores: Scores | None
     updated: bool
     scale: float
+    maps: Mapping[str, bytes] | None = None
 
     @classmethod
     def of(cls, wire: Wire) -> Target:
-        flags, scores = wire.get("flags"), wire.get("scores")
+        flags, scores, maps = wire.get("flags"), wire.get("scores"), wire.get("maps")
         return cls(
             wire["id"],
             tuple(wire["box"]),
             wire["status"],
             wire.get("reliable"),
             Flags(flags["fused"], flags["template"], flags["statistical"]) if flags else None,
-            Scores(scores["fused"], scores["template"], scores["statistical"], scores.get("psr"))
+            Scores(scores["fused"], scores["template"], scores["statistical"], wire.get("psr"))
             if scores
             else None,
             bool(wire.get("updated", False)),
             float(wire.get("scale", 1.0)),
+            {name: _bytes(image) for name, image in maps.items()} if maps else None,
         )
 
 
@@ -108,7 +114,6 @@ class Result:
     region: Region | None
     targets: tuple[Target, ...]
     timing: Timing | None
-    maps: Mapping[str, Any] | None = None
 
     @property
     def target(self) -> Target:
@@ -126,7 +131,6 @@ class Result:
             _region(wire.get("region")),
             tuple(Target.of(t) for t in wire["targets"]),
             Timing(timing["queue_ms"], timing["decode_ms"], timing["track_ms"]) if timing else None,
-            wire.get("maps"),
         )
 
 
@@ -238,6 +242,10 @@ class Draining:
 
 def _instant(text: str) -> datetime:
     return datetime.fromisoformat(text)
+
+
+def _bytes(image: bytes | str) -> bytes:
+    return image if isinstance(image, bytes) else b64decode(image)
 
 
 def _region(wire: Any) -> Region | None:
