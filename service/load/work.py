@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import multiprocessing
+import os
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from .clips import Clip
 from .drive import quantile
 
 WARM_FRAMES = 30
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 # Calls that wait in front of each lane, so that no lane ever waits.
 AHEAD = 3
 
@@ -29,6 +31,7 @@ class Work:
 
 def in_process(clip: Clip, seconds: float) -> Work:
     """Decode and track ``clip`` for ``seconds``, alone in a fresh process set up as a lane is."""
+    os.environ.update(dict.fromkeys(THREADS, "1"))  # before the child loads its libraries
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         return pool.submit(_in_process, clip, seconds).result()
 
