@@ -13,6 +13,7 @@ from typing import Any
 from ..config import MFCMTConfig
 from ..errors import BadConfig
 from .errors import DataError
+from .peers import PEERS, Peer
 from .trackers import Engine, Entry, ResultFolder
 
 PRESETS: dict[str, Callable[[], MFCMTConfig]] = {"default": MFCMTConfig.default, "paper": MFCMTConfig.paper}
@@ -26,12 +27,19 @@ def resolve(text: str) -> Entry | ResultFolder:
     label, _, what = text.rpartition("=")
     if what in PRESETS:
         return Engine(label or what, PRESETS[what]())
+    if what in PEERS:
+        peer = Peer(label or what, what)
+        if peer.lacks:
+            raise DataError(f"{what}: needs {peer.lacks} (make bench-peers sets up an environment with it)")
+        return peer
     path = Path(what)
     if path.is_dir():
         return ResultFolder(label or path.resolve().name, path)
     if path.is_file():
         return Engine(label or path.stem, read_config(path))
-    raise DataError(f"no tracker {what!r}: neither a file, nor a folder, nor one of {', '.join(PRESETS)}")
+    raise DataError(
+        f"no tracker {what!r}: neither a file, nor a folder, nor one of {', '.join([*PRESETS, *PEERS])}"
+    )
 
 
 def read_config(path: Path) -> MFCMTConfig:

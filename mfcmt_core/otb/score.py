@@ -148,6 +148,6 @@ def score(dataset: Dataset, boxes: Mapping[str, npt.ArrayLike], tracker: str = "
 
 
 def _repaired(boxes: Array) -> Array:
-    usable: Mask = np.isfinite(boxes).all(axis=1) & (boxes[:, 2:] > 0).all(axis=1)
+    usable: Mask = np.all(np.isfinite(boxes) & (boxes > [-np.inf, -np.inf, 0, 0]), axis=1)
     usable[0] = True  # the first is replaced by the truth anyway
     return np.asarray(boxes[np.maximum.accumulate(np.where(usable, np.arange(len(boxes)), 0))])
