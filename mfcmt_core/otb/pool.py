@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from collections.abc import Sequence as Seq
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing import connection, get_context
 from multiprocessing.connection import Connection
@@ -124,9 +124,10 @@ class _Runner:
         """Compile and load what the tracker needs, so that its first sequence is timed like the others."""
         if entry.name not in self._warm:
             self._warm.add(entry.name)
-            tracker = entry.make()
-            tracker.init(image, run.box)
-            tracker.update(image)
+            with suppress(Exception):  # what is wrong shows in the run itself
+                tracker = entry.make()
+                tracker.init(image, run.box)
+                tracker.update(image)
 
     def _read(self, job: Job, index: int) -> Image:
         if self._owner != job.sequence.frames:

@@ -33,7 +33,7 @@ def evaluate(
     """Score each tracker over the data set under ``OPE``, ``TRE`` or ``SRE``.
 
     ``results`` is the folder of result files: what is finished there with the same code and configuration is
-    not run again. ``jobs`` is the number of processes (default: one a CPU). 1 stays in this process; with more a
+    not run again. ``jobs`` is the number of processes (default: one a CPU). 1 stays in this one; with more a
     script needs its ``if __name__ == "__main__"``. ``progress`` gets the steps done and all steps.
     A tracker that raises loses the sequence, which is then named in :attr:`Evaluation.missing`.
     """
