@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     if unknown := set(protocols) - {"OPE", "TRE", "SRE"}:
         raise UsageError(f"unknown protocol: {', '.join(sorted(unknown))}")
     dataset = _dataset(args)
-    trackers = [resolve(text) for given in args.trackers for text in given.split(",") if text]
+    trackers = [resolve(text, args.results) for given in args.trackers for text in given.split(",") if text]
     lost = False
     for protocol in protocols:
         evaluations = evaluate(

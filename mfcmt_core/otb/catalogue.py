@@ -14,15 +14,17 @@ from ..config import MFCMTConfig
 from ..errors import BadConfig
 from .errors import DataError
 from .peers import PEERS, Peer
+from .protocol import PROTOCOLS
 from .trackers import Engine, Entry, ResultFolder
 
 PRESETS: dict[str, Callable[[], MFCMTConfig]] = {"default": MFCMTConfig.default, "paper": MFCMTConfig.paper}
 
 
-def resolve(text: str) -> Entry | ResultFolder:
+def resolve(text: str, results: Path | None = None) -> Entry | ResultFolder:
     """The tracker that ``text`` (``NAME``, ``PATH`` or ``LABEL=NAME``, ``LABEL=PATH``) means.
 
-    Raises DataError for an unknown name, BadConfig for a configuration that is not valid.
+    A peer whose library is not installed takes part by what another environment left in ``results``.
+    Raises DataError for an unknown name and for a configuration that is not valid.
     """
     label, _, what = text.rpartition("=")
     if what in PRESETS:
@@ -30,10 +32,12 @@ def resolve(text: str) -> Entry | ResultFolder:
     if what in PEERS:
         peer = Peer(label or what, what)
         if peer.lacks:
+            if results is not None and any((results / p / peer.name).is_dir() for p in PROTOCOLS):
+                return ResultFolder(peer.name, results / "{protocol}" / peer.name)
             raise DataError(f"{what}: needs {peer.lacks} (make bench-peers sets up an environment with it)")
         return peer
     path = Path(what)
-    if path.is_dir():
+    if path.is_dir() or "{protocol}" in what:
         return ResultFolder(label or path.resolve().name, path)
     if path.is_file():
         return Engine(label or path.stem, read_config(path))

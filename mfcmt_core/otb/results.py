@@ -19,6 +19,7 @@ from .dataset import ONE_BASED, Sequence, read_boxes
 from .errors import DataError
 from .metrics import Array
 from .protocol import Run
+from .score import Speed
 
 
 @dataclass
@@ -32,12 +33,25 @@ class Record:
 
     def has(self, run: Run, frames: int) -> bool:
         """Whether this very run is finished."""
-        done = self.runs.get(run.key)
-        return done is not None and (done["start"], done["box"], done["frames"]) == (
-            run.start,
-            list(run.box),
-            frames,
-        )
+        wanted = {"start": run.start, "box": list(run.box), "frames": frames}
+        return wanted.items() <= self.runs.get(run.key, {}).items()
+
+    @property
+    def speed(self) -> Speed | None:
+        """Of all runs together; None where nothing is finished."""
+        frames = sum(run["frames"] for run in self.runs.values())
+        if not frames:
+            return None
+        rate = sum(run["mean_rate"] * run["frames"] for run in self.runs.values()) / frames
+        return Speed(frames, sum(run["seconds"] for run in self.runs.values()), rate)
+
+
+def read_record(path: Path) -> Record | None:
+    """The record in a file; None where there is none that can be read."""
+    try:
+        return Record(**json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None
 
 
 @dataclass(frozen=True)
@@ -46,30 +60,25 @@ class ResultStore:
 
     root: Path
 
+    def folder(self, protocol: str, tracker: str) -> Path:
+        return self.root / protocol / tracker
+
     def boxes_path(self, protocol: str, tracker: str, sequence: str, key: str) -> Path:
-        return self.root / protocol / tracker / (f"{sequence}.{key}.txt" if key else f"{sequence}.txt")
+        return self.folder(protocol, tracker) / (f"{sequence}.{key}.txt" if key else f"{sequence}.txt")
 
     def record(self, protocol: str, tracker: str, sequence: str) -> Record | None:
-        """What is known of this pair; None where nothing or nothing readable is."""
-        try:
-            return Record(
-                **json.loads(self._record_path(protocol, tracker, sequence).read_text(encoding="utf-8"))
-            )
-        except (OSError, ValueError, TypeError):
-            return None
+        """What is known of this pair; None where nothing is."""
+        return read_record(self.folder(protocol, tracker) / f"{sequence}.json")
 
     def write(
         self, protocol: str, tracker: str, sequence: str, record: Record, boxes: dict[str, Array]
     ) -> None:
         """Keep new boxes by run key (0-based), then the record: a crash in between leaves runs unfinished."""
-        folder = self.root / protocol / tracker
+        folder = self.folder(protocol, tracker)
         folder.mkdir(parents=True, exist_ok=True)
         for key, values in boxes.items():
             write_boxes(self.boxes_path(protocol, tracker, sequence, key), values)
-        _replace(self._record_path(protocol, tracker, sequence), json.dumps(vars(record), indent=1) + "\n")
-
-    def _record_path(self, protocol: str, tracker: str, sequence: str) -> Path:
-        return self.root / protocol / tracker / f"{sequence}.json"
+        _replace(folder / f"{sequence}.json", json.dumps(vars(record), indent=1) + "\n")
 
 
 def write_boxes(path: Path, boxes: Array) -> None:
@@ -91,11 +100,6 @@ def read_result(path: Path, sequence: Sequence, start: int = 0) -> Array:
     if len(lines) < wanted:
         raise DataError(f"{path}: {len(lines)} boxes for {wanted} frames")
     return lines[:wanted] - ONE_BASED
-
-
-def rounded(boxes: Array) -> Array:
-    """Boxes as they read back from a result file, so that a resumed evaluation gives the same score."""
-    return np.round(boxes + ONE_BASED, 3) - ONE_BASED
 
 
 def _replace(path: Path, text: str) -> None:

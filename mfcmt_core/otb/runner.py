@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Callable, Iterable
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 
 from .dataset import Dataset, Sequence
 from .errors import DataError
-from .metrics import Array
-from .pool import Outcome, plan, run_jobs
+from .pool import plan, run_jobs
 from .protocol import PROTOCOLS, Run
-from .results import Record, ResultStore, read_result, rounded
-from .score import Evaluation, Speed, score_runs
+from .results import Record, ResultStore, read_result
+from .score import Evaluation, score_runs
 from .trackers import Entry, ResultFolder, identity_hash
 
 Progress = Callable[[int, int], None]
-Boxes = dict[tuple[str, str], dict[str, Array]]
-Records = dict[tuple[str, str], Record]
 
 
 def evaluate(
@@ -41,30 +40,18 @@ def evaluate(
     if len({t.name for t in trackers}) < len(trackers):
         raise DataError("two trackers have the same name: " + ", ".join(sorted(t.name for t in trackers)))
     runs = {sequence.name: PROTOCOLS[protocol](sequence) for sequence in dataset}
-    entries = [t for t in trackers if not isinstance(t, ResultFolder)]
-    store = ResultStore(results) if results is not None else None
-    records, fresh = _run(dataset, entries, protocol, runs, store, jobs or os.cpu_count() or 1, progress)
-    evaluations = []
-    for tracker in trackers:
-        evaluation = Evaluation(tracker.name, protocol, {}, {})
-        for sequence in dataset:
-            try:
-                if isinstance(tracker, ResultFolder):
-                    boxes, speed = _published(tracker, sequence, runs[sequence.name])
-                else:
-                    pair = tracker.name, sequence.name
-                    record = records[pair]
-                    if record.error is not None:
-                        raise DataError(record.error)
-                    boxes = _collected(
-                        store, protocol, pair, sequence, runs[sequence.name], fresh.get(pair, {})
-                    )
-                    speed = _speed(record)
-                evaluation.scores[sequence.name] = score_runs(sequence, boxes, speed)
-            except DataError as absent:
-                evaluation.missing[sequence.name] = str(absent)
-        evaluations.append(evaluation)
-    return evaluations
+    with ExitStack() as stack:
+        root = results or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="mfcmt-eval-")))
+        store = ResultStore(root)
+        entries = [t for t in trackers if not isinstance(t, ResultFolder)]
+        _run(dataset, entries, protocol, runs, store, jobs or os.cpu_count() or 1, progress)
+        folders = [
+            t.under(protocol)
+            if isinstance(t, ResultFolder)
+            else ResultFolder(t.name, store.folder(protocol, t.name))
+            for t in trackers
+        ]
+        return [_scored(dataset, folder, protocol, runs) for folder in folders]
 
 
 def _run(
@@ -72,30 +59,30 @@ def _run(
     entries: list[Entry],
     protocol: str,
     runs: dict[str, list[Run]],
-    store: ResultStore | None,
+    store: ResultStore,
     workers: int,
     progress: Progress | None,
-) -> tuple[Records, Boxes]:
-    records: Records = {}
+) -> None:
+    """Do the runs that are not finished, and keep each as soon as it is."""
+    records: dict[tuple[str, str], Record] = {}
     pairs: list[tuple[Entry, Sequence, list[Run]]] = []
     for entry in entries:
         made_with = entry.identity
         identity = identity_hash(made_with)
         for sequence in dataset:
-            record = store.record(protocol, entry.name, sequence.name) if store else None
+            record = store.record(protocol, entry.name, sequence.name)
             if record is None or record.identity != identity or record.error is not None:
                 record = Record(identity, made_with)
-            records[entry.name, sequence.name] = record
             todo = [
                 run
                 for run in runs[sequence.name]
-                if not _finished(record, run, sequence, store, protocol, entry)
+                if not record.has(run, len(sequence) - run.start)
+                or not store.boxes_path(protocol, entry.name, sequence.name, run.key).is_file()
             ]
             if todo and not sequence.frames:
-                raise DataError(
-                    f"{dataset.root}: {sequence.name} has no images, so {entry.name} cannot run on it"
-                )
+                raise DataError(f"{dataset.root}: {sequence.name} has no images for {entry.name} to run on")
             if todo:
+                records[entry.name, sequence.name] = record
                 pairs.append((entry, sequence, todo))
 
     jobs = plan(pairs, workers)
@@ -108,65 +95,28 @@ def _run(
         if progress is not None:
             progress(done, total)
 
-    fresh: Boxes = {}
     for job, outcome in run_jobs(jobs, min(workers, len(jobs)), tick):
-        pair = job.entry.name, job.sequence.name
-        record = records[pair]
-        new = {key: rounded(boxes) for key, boxes in outcome.boxes.items()}
-        fresh.setdefault(pair, {}).update(new)
-        _note(record, job.runs, outcome)
-        if store is not None:
-            store.write(protocol, *pair, record, new)
-    return records, fresh
+        record = records[job.entry.name, job.sequence.name]
+        record.error = outcome.error or record.error
+        for run in job.runs:
+            if run.key in outcome.speeds:
+                speed = asdict(outcome.speeds[run.key])
+                record.runs[run.key] = {"start": run.start, "box": list(run.box), **speed}
+        store.write(protocol, job.entry.name, job.sequence.name, record, outcome.boxes)
 
 
-def _finished(
-    record: Record, run: Run, sequence: Sequence, store: ResultStore | None, protocol: str, entry: Entry
-) -> bool:
-    return (
-        store is not None
-        and record.has(run, len(sequence) - run.start)
-        and store.boxes_path(protocol, entry.name, sequence.name, run.key).is_file()
-    )
-
-
-def _note(record: Record, runs: Iterable[Run], outcome: Outcome) -> None:
-    if outcome.error is not None:
-        record.error = outcome.error
-        return
-    for run in runs:
-        speed = outcome.speeds[run.key]
-        record.runs[run.key] = {"start": run.start, "box": list(run.box), **asdict(speed)}
-
-
-def _collected(
-    store: ResultStore | None,
-    protocol: str,
-    pair: tuple[str, str],
-    sequence: Sequence,
-    runs: list[Run],
-    fresh: dict[str, Array],
-) -> list[tuple[Run, Array]]:
-    boxes = []
-    for run in runs:
-        if run.key in fresh:
-            boxes.append((run, fresh[run.key]))
-        elif store is not None:
-            boxes.append((run, read_result(store.boxes_path(protocol, *pair, run.key), sequence, run.start)))
-        else:
-            raise DataError(f"{sequence.name}: run {run.key} is not done")
-    return boxes
-
-
-def _speed(record: Record) -> Speed:
-    runs = record.runs.values()
-    frames = sum(run["frames"] for run in runs)
-    rate = sum(run["mean_rate"] * run["frames"] for run in runs) / frames
-    return Speed(frames, sum(run["seconds"] for run in runs), rate)
-
-
-def _published(
-    tracker: ResultFolder, sequence: Sequence, runs: list[Run]
-) -> tuple[list[tuple[Run, Array]], Speed | None]:
-    boxes = [(run, read_result(tracker.find(sequence.name, run.key), sequence, run.start)) for run in runs]
-    return boxes, tracker.speed(sequence.name)
+def _scored(dataset: Dataset, folder: ResultFolder, protocol: str, runs: dict[str, list[Run]]) -> Evaluation:
+    evaluation = Evaluation(folder.name, protocol, {}, {})
+    for sequence in dataset:
+        try:
+            record = folder.record(sequence.name)
+            if record is not None and record.error is not None:
+                raise DataError(record.error)
+            boxes = [
+                (run, read_result(folder.find(sequence.name, run.key), sequence, run.start))
+                for run in runs[sequence.name]
+            ]
+            evaluation.scores[sequence.name] = score_runs(sequence, boxes, folder.speed(sequence.name))
+        except DataError as absent:
+            evaluation.missing[sequence.name] = str(absent)
+    return evaluation

@@ -17,6 +17,7 @@ from ..config import MFCMTConfig
 from ..tracker import MFCMT, Image
 from .dataset import read_boxes
 from .errors import DataError
+from .results import Record, read_record
 from .score import Speed
 
 
@@ -65,10 +66,17 @@ class Engine:
 
 @dataclass(frozen=True)
 class ResultFolder:
-    """Boxes of any tracker as text files, ``<folder>/<Sequence>.txt``, 1-based."""
+    """Boxes of any tracker as text files, ``<folder>/<Sequence>.txt``, 1-based.
+
+    ``{protocol}`` in the folder stands for OPE, TRE or SRE.
+    """
 
     name: str
     folder: Path
+
+    def under(self, protocol: str) -> ResultFolder:
+        """The folder for a protocol."""
+        return ResultFolder(self.name, Path(str(self.folder).replace("{protocol}", protocol)))
 
     def find(self, sequence: str, key: str) -> Path:
         """The file of a run. Raises DataError where there is none."""
@@ -81,8 +89,14 @@ class ResultFolder:
                     return path
         raise DataError(f"{self.folder}: has no {sequence}{suffix}")
 
+    def record(self, sequence: str) -> Record | None:
+        """How the files were made, where they are our own."""
+        return read_record(self.folder / f"{sequence}.json")
+
     def speed(self, sequence: str) -> Speed | None:
-        """From ``times/<Sequence>_time.txt`` (seconds a frame, as got10k writes them), where there is one."""
+        """From the record, else from ``times/<Sequence>_time.txt``, got10k's seconds a frame."""
+        if (record := self.record(sequence)) is not None:
+            return record.speed
         path = self.folder / "times" / f"{sequence}_time.txt"
         if not path.is_file():
             return None
