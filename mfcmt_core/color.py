@@ -61,9 +61,7 @@ class ColorModel:
         """Compute the look-up table again from the histograms."""
         nothing = scratch("new_f", self.foreground.shape)
         nothing[:] = 0
-        learn_lookup(
-            nothing, nothing, np.float32(0), self.foreground, self.background, self.unseen, self.lookup
-        )
+        learn_lookup(nothing, nothing, np.float32(0), self.foreground, self.background, self.unseen, self.lookup)
 
     def bins(self, patch: Image) -> npt.NDArray[np.int32]:
         """The histogram bin of each pixel, (H, W) int32; scratch."""

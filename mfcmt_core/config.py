@@ -158,9 +158,7 @@ class MFCMTConfig:
         if not set(self.features) <= set(cues) or len(set(self.features)) != len(self.features):
             raise BadConfig(f"features={self.features!r} are not distinct ones of {cues}")
         if not (self.color_histogram or set(self.features) & {"gray", "fhog"}):
-            raise BadConfig(
-                "without colour histogram, gray or fhog nothing is left to track a grey target by"
-            )
+            raise BadConfig("without colour histogram, gray or fhog nothing is left to track a grey target by")
         if self.num_scales % 2 == 0:
             raise BadConfig(f"num_scales={self.num_scales} is not odd")
         if self.color_name_table is not None and not isinstance(self.color_name_table, str):

@@ -67,9 +67,7 @@ class ScaleModel:
         factor = float(self.factors[best])
         return factor
 
-    def learn(
-        self, frame: Frame, within: Rect, center: tuple[float, float], scale: float, first: bool = False
-    ) -> None:
+    def learn(self, frame: Frame, within: Rect, center: tuple[float, float], scale: float, first: bool = False) -> None:
         """Move the filter towards the target as it is at ``scale``."""
         spectra = self._spectra(frame, within, center, scale)
         rate = np.float32(1) if first else self.rate
@@ -88,9 +86,7 @@ class ScaleModel:
         """DFT over scales of every feature, (features, count // 2 + 1)."""
         w, h = self.base_size[0] * scale, self.base_size[1] * scale
         largest = float(self.factors[: self.count].max())
-        gray, (cx, cy), (fx, fy) = _gray_cut(
-            frame, within, center, (w, h), largest, (self.width, self.height)
-        )
+        gray, (cx, cy), (fx, fy) = _gray_cut(frame, within, center, (w, h), largest, (self.width, self.height))
         lanes = len(self.factors)
         samples = scratch("scale_samples", (self.height, self.width, lanes))
         step_x = self.factors * np.float32(w / self.width / fx)

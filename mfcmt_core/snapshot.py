@@ -86,9 +86,7 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
             "lost": _boolean(r["lost"]),
         }
         scale = _number(document["scale"], 1e-6, 1e6)
-        state = State(
-            (w, h), _boolean(document["grey"]), (x, y), scale, reliability, dict(document["arrays"])
-        )
+        state = State((w, h), _boolean(document["grey"]), (x, y), scale, reliability, dict(document["arrays"]))
     except (KeyError, TypeError, ValueError, BadConfig) as error:
         raise BadSnapshot(f"a field is missing or out of its range: {error}") from error
     return config, state, (width, height)
@@ -145,12 +143,7 @@ def _unpack(name: str, packed: Any, into: npt.NDArray[Any]) -> None:
 
 
 def _number(value: Any, low: float, high: float) -> float:
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int | float)
-        or not isfinite(value)
-        or not low <= value <= high
-    ):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value) or not low <= value <= high:
         raise ValueError(f"{value!r} is not a number in [{low}, {high}]")
     return float(value)
 

@@ -127,11 +127,7 @@ class MFCMT:
         verdict = target.reliability.judge(peaks)
         if verdict.status != "lost":
             target.center = center
-        if (
-            target.sizes
-            and (verdict.reliable or not self.config.scale_when_reliable)
-            and verdict.status != "lost"
-        ):
+        if target.sizes and (verdict.reliable or not self.config.scale_when_reliable) and verdict.status != "lost":
             factor = target.sizes.estimate(frame, within, target.center, target.scale)
             target.scale = target.sizes.clamp(target.scale * factor, frame.size)
         if verdict.reliable:
@@ -176,9 +172,7 @@ class MFCMT:
             raise NotInitialised("call init first")
         return self._target
 
-    def _search(
-        self, target: Target, frame: Frame, within: Rect
-    ) -> tuple[Point, Peak, Peaks, npt.NDArray[np.float32]]:
+    def _search(self, target: Target, frame: Frame, within: Rect) -> tuple[Point, Peak, Peaks, npt.NDArray[np.float32]]:
         """Where the fused map peaks: around the last place and, while lost, also where colours propose."""
         found = self._detect(target, frame, within, target.center)
         if target.reliability.lost and target.color:
@@ -199,9 +193,7 @@ class MFCMT:
         responses = scratch("responses", (len(target.map_names), *shape))
         fused = scratch("fused", shape)
         template = (
-            target.template.respond(patch.pixels, responses[: len(target.template.names)])
-            if target.template
-            else 1.0
+            target.template.respond(patch.pixels, responses[: len(target.template.names)]) if target.template else 1.0
         )
         statistical = target.color.respond(patch.pixels, responses[-1]) if target.color else 1.0
         peak = fuse(responses, target.map_weights, self.config, fused)
@@ -220,9 +212,7 @@ class MFCMT:
         if target.sizes:
             target.sizes.learn(frame, within, target.center, target.scale, first)
 
-    def _copy_maps(
-        self, target: Target, fused: npt.NDArray[np.float32]
-    ) -> dict[str, npt.NDArray[np.float32]]:
+    def _copy_maps(self, target: Target, fused: npt.NDArray[np.float32]) -> dict[str, npt.NDArray[np.float32]]:
         """The probability maps of the last search by name."""
         responses = scratch("responses", (len(target.map_names), *fused.shape))
         return {"fused": fused.copy()} | {

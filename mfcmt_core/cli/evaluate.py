@@ -84,8 +84,7 @@ def _table(dataset: Dataset, protocol: str, evaluations: list[Evaluation]) -> st
     for e in sorted((e for e in evaluations if e.scores), key=lambda e: -e.success):
         fps = "–" if e.fps is None else f"{e.fps:.0f}"
         lines.append(
-            f"| {e.tracker} | {e.success:.3f} | {e.precision:.3f} | {e.norm_precision:.3f} | {fps} "
-            f"| {len(e.scores)} |"
+            f"| {e.tracker} | {e.success:.3f} | {e.precision:.3f} | {e.norm_precision:.3f} | {fps} | {len(e.scores)} |"
         )
     return "\n".join(lines) + "\n"
 

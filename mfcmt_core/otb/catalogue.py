@@ -41,9 +41,7 @@ def resolve(text: str, results: Path | None = None) -> Entry | ResultFolder:
         return ResultFolder(label or path.resolve().name, path)
     if path.is_file():
         return Engine(label or path.stem, read_config(path))
-    raise DataError(
-        f"no tracker {what!r}: neither a file, nor a folder, nor one of {', '.join([*PRESETS, *PEERS])}"
-    )
+    raise DataError(f"no tracker {what!r}: neither a file, nor a folder, nor one of {', '.join([*PRESETS, *PEERS])}")
 
 
 def read_config(path: Path) -> MFCMTConfig:

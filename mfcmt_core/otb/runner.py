@@ -46,9 +46,7 @@ def evaluate(
         entries = [t for t in trackers if not isinstance(t, ResultFolder)]
         _run(dataset, entries, protocol, runs, store, jobs or os.cpu_count() or 1, progress)
         folders = [
-            t.under(protocol)
-            if isinstance(t, ResultFolder)
-            else ResultFolder(t.name, store.folder(protocol, t.name))
+            t.under(protocol) if isinstance(t, ResultFolder) else ResultFolder(t.name, store.folder(protocol, t.name))
             for t in trackers
         ]
         return [_scored(dataset, folder, protocol, runs) for folder in folders]

@@ -14,7 +14,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..config import MFCMTConfig
-from ..tracker import MFCMT, Image
+from ..geometry import Image
+from ..tracker import MFCMT
 from .dataset import read_boxes
 from .errors import DataError
 from .results import Record, read_record
@@ -102,9 +103,7 @@ class ResultFolder:
             return None
         seconds = read_boxes(path, (1,))[:, 0]
         seconds = seconds[seconds > 0]
-        return (
-            Speed(len(seconds), float(seconds.sum()), float(np.mean(1 / seconds))) if len(seconds) else None
-        )
+        return Speed(len(seconds), float(seconds.sum()), float(np.mean(1 / seconds))) if len(seconds) else None
 
 
 @functools.cache
@@ -114,10 +113,7 @@ def code_hash() -> str:
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*")):
         part = path.relative_to(package)
-        if (
-            part.parts[0] in ("otb", "cli", "adapters", "adapters.py", "synthetic.py")
-            or "__pycache__" in part.parts
-        ):
+        if part.parts[0] in ("otb", "cli", "adapters", "adapters.py", "synthetic.py") or "__pycache__" in part.parts:
             continue
         if path.suffix == ".py":
             tree = ast.parse(path.read_text(encoding="utf-8"))
