@@ -30,9 +30,7 @@ class AsyncClient:
     ``url`` is the service's base URL, ``key`` an API key, ``timeout_s`` the limit of one call.
     """
 
-    def __init__(
-        self, url: str = "http://127.0.0.1:8000", *, key: str | None = None, timeout_s: float = 30.0
-    ) -> None:
+    def __init__(self, url: str = "http://127.0.0.1:8000", *, key: str | None = None, timeout_s: float = 30.0) -> None:
         headers = {} if key is None else {"Authorization": f"Bearer {key}"}
         self.address = Address(url.rstrip("/"), headers, timeout_s=timeout_s)
         self._http = httpx2.AsyncClient(base_url=self.address.url, headers=headers, timeout=timeout_s)
@@ -161,18 +159,10 @@ class AsyncSession:
     async def track(self, frame: bytes | Frame) -> Result:
         """One frame over HTTP; streams are faster."""
         frame = frame if isinstance(frame, Frame) else Frame(frame)
-        params = {"seq": frame.seq, "ts": frame.ts}
-        if frame.region is not None:
-            params["region"] = ",".join(map(str, frame.region))
-        return Result.of(
-            await self._client.json(
-                "POST",
-                f"{self._path}/frames",
-                content=frame.data,
-                params={name: value for name, value in params.items() if value is not None},
-                headers={"Content-Type": "application/octet-stream"},
-            )
-        )
+        body = {"frame": frame.data, "seq": frame.seq, "ts": frame.ts, "region": frame.region}
+        packed = msgpack.packb({name: value for name, value in body.items() if value is not None})
+        headers = {"Content-Type": MSGPACK}
+        return Result.of(await self._client.json("POST", f"{self._path}/frames", content=packed, headers=headers))
 
     async def add_target(self, box: Iterable[float]) -> TargetChange:
         """Start another target on the newest frame."""
@@ -211,7 +201,7 @@ class AsyncSession:
         answer = await self._client.call("GET", f"{self._path}/trajectory", params=params)
         if format != "json":
             return answer.text
-        return [Result.of(result) for result in answer.json()["results"]]
+        return [Result.of(result) for result in answer.json()["frames"]]
 
     async def snapshot(self) -> bytes:
         """The session's whole state, for :meth:`AsyncClient.restore`."""
@@ -242,9 +232,7 @@ class AsyncSession:
         pays where bandwidth or decoding is dear. A broken connection is resumed for ``reconnect_for_s``
         seconds at most. See :class:`AsyncStream` for the rest.
         """
-        attachment = Attachment(
-            self._client.address, self.id, mode, protocol, takeover, ticket, reconnect_for_s
-        )
+        attachment = Attachment(self._client.address, self.id, mode, protocol, takeover, ticket, reconnect_for_s)
 
         async def missed(after: int) -> list[Result]:
             return await self.trajectory(after=after)
