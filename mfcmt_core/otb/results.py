@@ -13,8 +13,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from .dataset import ONE_BASED, Sequence, read_boxes
 from .errors import DataError
 from .metrics import Array
