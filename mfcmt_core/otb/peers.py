@@ -14,8 +14,8 @@ from typing import Any
 
 import cv2
 
+from ..geometry import Image
 from ..result import Box
-from ..tracker import Image
 
 _cv: Any = cv2  # the type stubs of the plain wheel do not know the contrib trackers
 
