@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import sys
 from typing import NoReturn, Protocol, cast
 
@@ -43,6 +44,8 @@ class _Parser(argparse.ArgumentParser):
 
 def main(argv: list[str] | None = None) -> int:
     """Entry point of the console script: 0 done, 1 failed, 2 bad arguments, 130 interrupted."""
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # before numpy is loaded: its matrices are small, and threads only wait
     argv = sys.argv[1:] if argv is None else argv
     parser = _Parser(prog="mfcmt", description="Track a target through video on a CPU.")
     parser.add_argument("--version", action="version", version=f"mfcmt {__version__}")

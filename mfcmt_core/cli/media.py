@@ -58,9 +58,7 @@ def open_source(text: str) -> Source:
 def _folder(path: Path) -> Source:
     def listed(folder: Path) -> list[Path]:
         found = [f for f in folder.iterdir() if f.suffix.lower() in IMAGES and not f.name.startswith(".")]
-        return sorted(
-            found, key=lambda f: [int(p) if p.isdigit() else p for p in re.split(r"([0-9]+)", f.name)]
-        )
+        return sorted(found, key=lambda f: [int(p) if p.isdigit() else p for p in re.split(r"([0-9]+)", f.name)])
 
     files = listed(path)
     if not files and (path / "img").is_dir():
@@ -96,9 +94,7 @@ def _video(name: str | int) -> Source:
 
     live = isinstance(name, int)
     length, fps = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), capture.get(cv2.CAP_PROP_FPS)
-    return Source(
-        frames(), length if length > 0 and not live else None, fps if 0 < fps < 1000 else 30.0, live
-    )
+    return Source(frames(), length if length > 0 and not live else None, fps if 0 < fps < 1000 else 30.0, live)
 
 
 class VideoFile:

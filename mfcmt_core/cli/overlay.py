@@ -46,9 +46,7 @@ class Overlay:
         left = int(np.clip(x, 0, max(0, image.shape[1] - tw - 8)))
         base = int(np.clip(y - 6, th + 6, image.shape[0] - 6))
         cv2.rectangle(image, (left, base - th - 5), (left + tw + 7, base + 4), colour, -1)
-        cv2.putText(
-            image, result.status, (left + 4, base), cv2.FONT_HERSHEY_SIMPLEX, 0.5, PAPER, 1, cv2.LINE_AA
-        )
+        cv2.putText(image, result.status, (left + 4, base), cv2.FONT_HERSHEY_SIMPLEX, 0.5, PAPER, 1, cv2.LINE_AA)
 
     def _row(self, row: Image, name: str, threshold: float) -> None:
         width = row.shape[1]

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
-import tomllib
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import fields, replace
 from itertools import chain
 from pathlib import Path
 from typing import TextIO
@@ -18,8 +15,10 @@ from typing import TextIO
 import cv2
 import numpy as np
 
-from ..config import MFCMTConfig
-from ..errors import BadBox, BadConfig
+from ..config import PRESETS, MFCMTConfig
+from ..errors import BadBox
+from ..otb.catalogue import read_config
+from ..otb.errors import DataError
 from ..result import Box, TrackResult
 from ..tracker import MFCMT
 from . import UsageError, formats
@@ -30,26 +29,17 @@ from .progress import Progress
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument(
-        "source", metavar="SOURCE", help="a folder of images, a video file or a camera's number"
-    )
+    parser.add_argument("source", metavar="SOURCE", help="a folder of images, a video file or a camera's number")
     start = parser.add_mutually_exclusive_group(required=True)
     start.add_argument("--box", metavar="X,Y,W,H", help="the target in the first frame, px, 0-based")
-    start.add_argument(
-        "--select", action="store_true", help="draw the box in a page that opens in the browser"
-    )
-    parser.add_argument(
-        "--no-browser", action="store_true", help="with --select: print the page's address only"
-    )
+    start.add_argument("--select", action="store_true", help="draw the box in a page that opens in the browser")
+    parser.add_argument("--no-browser", action="store_true", help="with --select: print the page's address only")
     parser.add_argument("--format", choices=sorted(formats.FORMATS), help="default: by the suffix, else csv")
     parser.add_argument("--output", metavar="FILE", help="where the boxes go; default: the standard output")
-    parser.add_argument(
-        "--video", metavar="FILE", help="also write an annotated video (.mp4, .mkv, .avi, .webm)"
-    )
-    parser.add_argument("--preset", choices=("default", "paper"), default="default")
-    parser.add_argument(
-        "--config", metavar="FILE", help="JSON or TOML with parameters that replace the preset's"
-    )
+    parser.add_argument("--video", metavar="FILE", help="also write an annotated video (.mp4, .mkv, .avi, .webm)")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--preset", choices=PRESETS, default="default")
+    which.add_argument("--config", metavar="FILE", help="TOML or JSON: fields of MFCMTConfig, and base, a preset")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -97,7 +87,8 @@ def _follow(
     video: VideoFile | None,
 ) -> Counter[str]:
     """Track to the end, writing as it goes; how many frames had which status."""
-    overlay = Overlay((0.5, 0.7, 0.5)) if video else None
+    c = tracker.config
+    overlay = Overlay((c.fused_threshold, c.template_threshold, c.statistical_threshold)) if video else None
     counts: Counter[str] = Counter()
 
     def results() -> Iterator[TrackResult]:
@@ -137,20 +128,9 @@ def _box(text: str) -> Box:
 
 
 def _config(preset: str, file: str | None) -> MFCMTConfig:
-    config = MFCMTConfig.paper() if preset == "paper" else MFCMTConfig.default()
     if file is None:
-        return config
+        return MFCMTConfig.preset(preset)
     try:
-        text = Path(file).read_text(encoding="utf-8")
-        values = tomllib.loads(text) if Path(file).suffix.lower() == ".toml" else json.loads(text)
-    except (OSError, ValueError) as bad:
-        raise UsageError(f"cannot read {file}: {bad}") from bad
-    if not isinstance(values, dict):
-        raise UsageError(f"{file} does not hold names with values")
-    unknown = set(values) - {f.name for f in fields(config)}
-    if unknown:
-        raise UsageError(f"{file}: no parameter {', '.join(sorted(unknown))}")
-    try:
-        return replace(config, **values)
-    except (BadConfig, TypeError, ValueError) as bad:
-        raise UsageError(f"{file}: {bad}") from bad
+        return read_config(Path(file))
+    except DataError as bad:
+        raise UsageError(str(bad)) from bad

@@ -51,13 +51,13 @@ def read_config(path: Path) -> MFCMTConfig:
         given: dict[str, Any] = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
     except (OSError, ValueError) as failed:
         raise DataError(f"{path}: {failed}") from None
-    base = given.pop("base", "default")
-    if base not in PRESETS:
+    base = given.pop("base", "default") if isinstance(given, dict) else None
+    if not isinstance(base, str) or base not in PRESETS:
         raise DataError(f"{path}: no preset {base!r}; there is {', '.join(PRESETS)}")
     known = {f.name for f in fields(MFCMTConfig)}
     if unknown := sorted(set(given) - known):
         raise DataError(f"{path}: MFCMTConfig has no {', '.join(unknown)}")
-    values = {name: tuple(v) if isinstance(v, list) else v for name, v in given.items()}
+    values: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in given.items()}
     try:
         return dataclasses.replace(PRESETS[base](), **values)
     except BadConfig as bad:

@@ -113,7 +113,7 @@ def code_hash() -> str:
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*")):
         part = path.relative_to(package)
-        if part.parts[0] in ("otb", "cli", "adapters", "adapters.py", "synthetic.py") or "__pycache__" in part.parts:
+        if part.parts[0] in ("otb", "cli", "adapters", "adapters.py", "synthetic") or "__pycache__" in part.parts:
             continue
         if path.suffix == ".py":
             tree = ast.parse(path.read_text(encoding="utf-8"))

@@ -93,10 +93,7 @@ def test_another_host_or_origin_is_refused(server):
     assert ask(server, "GET", "/frame", Host=f"evil.example:{port}", **key)[0] == 403
     assert ask(server, "GET", "/frame", Origin="http://evil.example", **key)[0] == 403
     assert ask(server, "POST", "/box", {"box": [1, 1, 9, 9]}, Origin="null", **key)[0] == 403
-    assert (
-        ask(server, "POST", "/box", {"box": [1, 1, 9, 9]}, Origin=f"http://127.0.0.1:{port + 1}", **key)[0]
-        == 403
-    )
+    assert ask(server, "POST", "/box", {"box": [1, 1, 9, 9]}, Origin=f"http://127.0.0.1:{port + 1}", **key)[0] == 403
     with socket.create_connection(("127.0.0.1", port), timeout=10) as raw:  # no Origin at all
         raw.sendall(b"POST /box HTTP/1.0\r\nHost: %b\r\nContent-Length: 0\r\n\r\n" % server.host.encode())
         assert b" 403 " in raw.recv(100)
@@ -135,9 +132,7 @@ def browser():
     require(chromium, "no Chromium on this machine")
     api = pytest.importorskip("playwright.sync_api")
     with api.sync_playwright() as playwright:
-        running = playwright.chromium.launch(
-            executable_path=chromium, args=["--no-sandbox", "--disable-dev-shm-usage"]
-        )
+        running = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-dev-shm-usage"])
         yield running
         running.close()
 

@@ -144,10 +144,14 @@ def test_preset_and_config_reach_the_tracker(folder, box, clip, tmp_path):
     want = list(MFCMT(MFCMTConfig.paper()).track(clip.frames[:LENGTH], clip.boxes[0]))[-1]
     done = track(folder, "--box", box, "--preset", "paper", "--format", "jsonl")
     assert tuple(json.loads(done.stdout.splitlines()[-1])["box"]) == want.box
-    (tmp_path / "c.json").write_text('{"nosuch": 1}')
-    done = track(folder, "--box", box, "--config", tmp_path / "c.json")
-    assert done.returncode == 2
-    assert "no parameter nosuch" in done.stderr
+    (tmp_path / "c.toml").write_text('base = "paper"\nnum_scales = 1\n')
+    done = track(folder, "--box", box, "--config", tmp_path / "c.toml", "--format", "jsonl")
+    assert {json.loads(line)["scale"] for line in done.stdout.splitlines()} == {1.0}
+    for wrong in ('{"nosuch": 1}', '{"num_scales": 2}', "[]", "{"):
+        (tmp_path / "c.json").write_text(wrong)
+        done = track(folder, "--box", box, "--config", tmp_path / "c.json")
+        assert done.returncode == 2, wrong
+        assert len(done.stderr.splitlines()) == 1
 
 
 @pytest.mark.parametrize(
@@ -163,7 +167,7 @@ def test_preset_and_config_reach_the_tracker(folder, box, clip, tmp_path):
         (("{}", "--box", "1,2,3,4", "--format", "xml"), "xml"),
         (("{}", "--box", "1,2,3,4", "--video", "x.gif"), "no codec for x.gif"),
         (("{}", "--box", "1,2,3,4", "--output", "nosuch/x.csv"), "no folder for"),
-        (("{}", "--box", "1,2,3,4", "--config", "nosuch.json"), "cannot read nosuch.json"),
+        (("{}", "--box", "1,2,3,4", "--config", "nosuch.json"), "nosuch.json: "),
         (("{}/img/1.png", "--box", "1,2,3,4"), "is one image"),
         (("97", "--box", "1,2,3,4"), "no camera 97"),
     ],

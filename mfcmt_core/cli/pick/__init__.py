@@ -60,9 +60,7 @@ def pick_box(frame: npt.NDArray[np.uint8], *, browser: bool = True) -> Box:
 
 def _has_screen() -> bool:
     """Without one, webbrowser would start a text browser in this very terminal."""
-    return sys.platform in ("win32", "darwin") or bool(
-        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    )
+    return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 class PickServer(ThreadingHTTPServer):
@@ -131,9 +129,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.NOT_FOUND)
 
     def _choose(self, values: Any) -> None:
-        numbers = (
-            isinstance(values, list) and len(values) == 4 and all(type(v) in (int, float) for v in values)
-        )
+        numbers = isinstance(values, list) and len(values) == 4 and all(type(v) in (int, float) for v in values)
         if not numbers or not all(math.isfinite(v) for v in values):
             self._answer(HTTPStatus.UNPROCESSABLE_ENTITY)
             return
