@@ -1,0 +1,1 @@
+"""Subcommands of ``mfcmt`` that need the service."""
