@@ -1,25 +1,128 @@
-"""The tracker (stub with the final interface, until the real one lands)."""
+"""MFCMT: Algorithm 1 of the paper."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
+from . import snapshot
+from .color import Bins, ColorModel
 from .config import MFCMTConfig
-from .errors import BadBox, NotInitialised
+from .errors import BadImage, NotInitialised
+from .fusion import fuse
+from .geometry import Frame, Image, Patch, Rect, SearchWindow, check_box, clip_rect, grow_rect
+from .redetection import propose
+from .reliability import Peaks, Reliability, Verdict
 from .result import Box, TrackResult
+from .scale import ScaleModel
+from .template import Spectra, TemplateModel
+from .workspace import scratch
 
-Image = npt.NDArray[np.uint8]
+ATTENTION = 1.5
+"""What a frame is looked at for: the search window times this. It leaves the target room to move by a quarter
+of the window and still be learned with all of its surroundings; further out the border repeats."""
+MOTION_ROOM = 0.5
+"""Of the target's side, on each side of the region: how far it may move in one frame in flight."""
+GREY_TOLERANCE = 1
+"""Grey levels that the channels of a grey sequence may differ by."""
+
+Point = tuple[float, float]
+
+
+class Target:
+    """The models of one target and where it is: what :meth:`MFCMT.init` builds."""
+
+    def __init__(self, config: MFCMTConfig, base_size: Point, grey: bool) -> None:
+        self.grey = grey
+        self.base_size = base_size
+        self.center: Point = (0.0, 0.0)
+        self.scale = 1.0
+        self.window = SearchWindow(config, base_size)
+        cues = [c for c in config.features if not (grey and c == "color_names")]
+        self.template = TemplateModel(config, self.window, grey) if cues else None
+        self.color = ColorModel(config, self.window, grey) if config.color_histogram or not cues else None
+        self.sizes = ScaleModel(config, base_size) if config.num_scales > 1 else None
+        self.reliability = Reliability(config)
+        names = (self.template.names if self.template else ()) + (("statistical",) if self.color else ())
+        self.map_names: tuple[str, ...] = names
+        self.map_weights = np.ones(len(names), np.float32)
+        if self.color:
+            self.map_weights[-1] = config.statistical_weight if cues else 1
+
+    def observe(self, frame: Frame, within: Rect, center: Point) -> Observation:
+        """Lines 2–4 of Algorithm 1: crop the window around ``center`` and extract what the models need."""
+        patch = self.window.crop(frame, within, center, self.scale)
+        pixels = _as_mode(patch.pixels, self.grey)
+        return Observation(
+            center,
+            self.window.rect(center, self.scale),
+            patch,
+            self.template.spectra(pixels) if self.template else np.empty(0, np.complex64),
+            self.color.bins(pixels) if self.color else np.empty(0, np.int32),
+        )
+
+    def learn(self, seen: Observation, first: bool = False) -> None:
+        """Line 11 of Algorithm 1, on an observation centred on the target."""
+        if self.template:
+            self.template.learn(seen.spectra, first)
+        if self.color:
+            self.color.learn(seen.bins, first)
+
+    def maps(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Scratch for the single maps (maps, rows, columns) and the fused one (rows, columns)."""
+        shape = (2 * self.window.reach[1] + 1, 2 * self.window.reach[0] + 1)
+        return scratch("responses", (len(self.map_names), *shape)), scratch("fused", shape)
+
+    @property
+    def box(self) -> Box:
+        """The box at the present centre and scale."""
+        w, h = self.base_size[0] * self.scale, self.base_size[1] * self.scale
+        return self.center[0] - w / 2, self.center[1] - h / 2, w, h
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Where a search ended: centre in the frame, the peaks of its maps, peak-to-sidelobe ratio."""
+
+    center: Point
+    peaks: Peaks
+    psr: float
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """The search window at one place of one frame, and what the models see in it.
+
+    ``rect`` is the window in whole pixels: where it is the same, so is everything else. ``spectra`` and
+    ``bins`` are empty where there is no such model; ``bins`` is scratch.
+    """
+
+    place: Point
+    rect: Rect
+    patch: Patch
+    spectra: Spectra
+    bins: Bins
 
 
 class MFCMT:
-    """Single-target tracker."""
+    """Single-target tracker.
+
+    Images are ``uint8``, BGR (H, W, 3) or grey (H, W), of any strides; boxes ``(x, y, w, h)``, floats,
+    0-based. A call that raises has changed nothing. Not for use by two threads at once.
+
+    >>> tracker = MFCMT()
+    >>> tracker.init(first_frame, (10, 20, 30, 40))  # doctest: +SKIP
+    >>> tracker.update(next_frame).box  # doctest: +SKIP
+    """
 
     def __init__(self, config: MFCMTConfig | None = None) -> None:
         self.config = config or MFCMTConfig.default()
-        self._box: Box | None = None
+        self._target: Target | None = None
+        self._frame_size = (0, 0)
 
     def init(
         self,
@@ -29,18 +132,26 @@ class MFCMT:
         offset: tuple[int, int] = (0, 0),
         frame_size: tuple[int, int] | None = None,
     ) -> TrackResult:
-        """Start on ``box`` (also to correct a running tracker).
+        """Start on ``box``, or start again on it: to correct a running tracker, call this.
 
-        ``image`` may be a cut of the frame: then ``offset`` is the frame's (x, y) of its top-left pixel and
-        ``frame_size`` the whole frame's (w, h); the box is always in coordinates of the whole frame.
-        Raises BadBox, BadImage, RegionTooSmall.
+        ``image`` may be a cut of the frame: ``offset`` is the frame's (x, y) of its first pixel and
+        ``frame_size`` the whole frame's (w, h); the box counts in the whole frame all the same.
+        Raises BadImage, BadBox, RegionTooSmall.
         """
-        x, y, w, h = (float(v) for v in box)
-        if not w * h > 0:
-            raise BadBox(f"no area: {(x, y, w, h)}")
-        self._box = (x, y, w, h)
-        self._frame_size = frame_size or (image.shape[1], image.shape[0])
-        return TrackResult(self._box, "tracking", None, None, None, None, True, 1.0)
+        frame = Frame.of(image, offset, frame_size)
+        x, y, w, h = check_box(box, frame.size)
+        center = (min(max(x + w / 2, 0.0), frame.size[0]), min(max(y + h / 2, 0.0), frame.size[1]))
+        window = SearchWindow(self.config, (w, h))
+        within = clip_rect(window.rect(center, 1.0, ATTENTION), frame.size)
+        frame.require(within)
+        grey = _is_grey(window.crop(frame, within, center, 1.0).pixels)
+        target = Target(self.config, (w, h), grey)
+        target.center = center
+        target.learn(target.observe(frame, within, center), first=True)
+        if target.sizes:
+            target.sizes.learn(target.sizes.spectra(frame, within, center, 1.0), first=True)
+        self._target, self._frame_size = target, frame.size
+        return TrackResult((x, y, w, h), "tracking", None, None, None, None, True, 1.0)
 
     def update(
         self,
@@ -50,29 +161,139 @@ class MFCMT:
         frame_size: tuple[int, int] | None = None,
         maps: bool = False,
     ) -> TrackResult:
-        """Find the target in the next frame. Raises NotInitialised, BadImage, RegionTooSmall."""
-        if self._box is None:
-            raise NotInitialised("update before init")
-        return TrackResult(self._box, "tracking", None, None, None, None, True, 1.0)
+        """Find the target in the next frame; ``image`` may be a cut that covers :meth:`needed_region`.
+
+        Raises NotInitialised, BadImage (also for another frame size than the first), RegionTooSmall.
+        """
+        target = self._require_target()
+        frame = Frame.of(image, offset, frame_size)
+        if frame.size != self._frame_size:
+            raise BadImage(f"the frame is {frame.size}, the first one was {self._frame_size}")
+        within = self.needed_region()
+        frame.require(within)
+
+        seen, found = self._search(target, frame, within)
+        kept = self._copy_maps(target) if maps else None
+        verdict = target.reliability.judge(found.peaks)
+        if verdict.status != "lost":
+            target.center = found.center
+            self._resize(target, frame, within, verdict)
+        if verdict.reliable:
+            if target.window.rect(target.center, target.scale) != seen.rect:
+                seen = target.observe(frame, within, target.center)
+            target.learn(seen)
+            target.reliability.learned_from(found.peaks)
+        return TrackResult(
+            box=target.box,
+            status=verdict.status,
+            reliable=verdict.reliable,
+            flags=verdict.flags,
+            scores=verdict.scores,
+            psr=found.psr,
+            updated=verdict.reliable,
+            scale=target.scale,
+            maps=kept,
+        )
 
     def track(self, frames: Iterable[Image], box: Iterable[float]) -> Iterator[TrackResult]:
-        """Start on the first of ``frames`` and yield one result a frame."""
-        for i, frame in enumerate(frames):
-            yield self.init(frame, box) if i == 0 else self.update(frame)
+        """Start on the first of ``frames`` and yield one result a frame, the first included."""
+        for index, image in enumerate(frames):
+            yield self.update(image) if index else self.init(image, box)
 
-    def needed_region(self) -> tuple[int, int, int, int]:
-        """The part of the next frame that ``update`` may look at, (x, y, w, h) in whole pixels."""
-        return (0, 0, *self._frame_size)
+    def needed_region(self) -> Rect:
+        """The part of the next frame that decides the result, (x, y, w, h): pixels outside it change no bit."""
+        target = self._require_target()
+        if target.reliability.lost:
+            return (0, 0, *self._frame_size)
+        return clip_rect(target.window.rect(target.center, target.scale, ATTENTION), self._frame_size)
 
-    def region(self, lag: int = 1) -> tuple[int, int, int, int]:
-        """``needed_region`` with room for ``lag`` frames in flight."""
-        return (0, 0, *self._frame_size)
+    def region(self, lag: int = 1) -> Rect:
+        """:meth:`needed_region` with room for the target to move during ``lag`` frames in flight."""
+        needed = self.needed_region()
+        _, _, w, h = self._require_target().box
+        return clip_rect(grow_rect(needed, lag * MOTION_ROOM * w, lag * MOTION_ROOM * h), self._frame_size)
 
     def to_bytes(self) -> bytes:
-        """The whole state; see :meth:`from_bytes`."""
-        return b""
+        """The whole state, versioned: MessagePack with raw little-endian arrays. Raises NotInitialised."""
+        return snapshot.dump(self.config, self._require_target(), self._frame_size)
 
     @classmethod
     def from_bytes(cls, data: bytes) -> MFCMT:
-        """A tracker whose every later result is bit-equal. Raises BadSnapshot."""
-        return cls()
+        """The tracker that :meth:`to_bytes` wrote; its every later result is bit-equal. Raises BadSnapshot."""
+        config, state, frame_size = snapshot.parse(data)
+        tracker = cls(config)
+        target = Target(config, state.base_size, state.grey)
+        snapshot.restore(target, state)
+        tracker._target, tracker._frame_size = target, frame_size
+        return tracker
+
+    def _require_target(self) -> Target:
+        if self._target is None:
+            raise NotInitialised("call init first")
+        return self._target
+
+    def _search(self, target: Target, frame: Frame, within: Rect) -> tuple[Observation, Found]:
+        """Where the fused map peaks: around the last place and, while lost, also where colours propose."""
+        places = [target.center]
+        if target.reliability.lost and target.color:
+            places.append(propose(target.color, frame, target.base_size, target.scale))
+        best = None
+        for place in places:
+            seen = target.observe(frame, within, place)
+            found = self._detect(target, frame, seen)
+            if best is None or found.peaks.template > best[1].peaks.template:
+                best = seen, found
+        assert best is not None
+        if best[0] is not seen:  # bins and maps are scratch: they must be those of the place chosen
+            seen = target.observe(frame, within, best[0].place)
+            best = seen, self._detect(target, frame, seen)
+        return best
+
+    def _detect(self, target: Target, frame: Frame, seen: Observation) -> Found:
+        """Lines 5–7 of Algorithm 1: respond, fuse, take the peak."""
+        responses, fused = target.maps()
+        template = statistical = 1.0
+        if target.template:
+            template = target.template.respond(seen.spectra, responses[: len(target.template.names)])
+        if target.color:
+            statistical = target.color.respond(seen.bins, responses[-1])
+        peak = fuse(responses, target.map_weights, self.config, fused)
+        x, y = target.window.displaced(seen.patch, peak.displacement)
+        center = (min(max(x, 0.0), float(frame.size[0])), min(max(y, 0.0), float(frame.size[1])))
+        return Found(center, Peaks(peak.height, template, statistical), peak.psr)
+
+    def _resize(self, target: Target, frame: Frame, within: Rect, verdict: Verdict) -> None:
+        """Lines 8 and 10 of Algorithm 1: find the scale, and learn it where the frame is reliable."""
+        sizes = target.sizes
+        if sizes is None or not (verdict.reliable or not self.config.scale_when_reliable):
+            return
+        spectra = sizes.spectra(frame, within, target.center, target.scale)
+        scale = sizes.clamp(target.scale * sizes.estimate(spectra), frame.size)
+        if verdict.reliable:
+            if scale != target.scale:
+                spectra = sizes.spectra(frame, within, target.center, scale)
+            sizes.learn(spectra)
+        target.scale = scale
+
+    def _copy_maps(self, target: Target) -> dict[str, npt.NDArray[np.float32]]:
+        """The probability maps of the last search by name."""
+        responses, fused = target.maps()
+        return {"fused": fused.copy()} | {
+            name: np.array(r) for name, r in zip(target.map_names, responses, strict=True)
+        }
+
+
+def _is_grey(pixels: Image) -> bool:
+    """Whether the channels differ by no more than rounding."""
+    if pixels.ndim == 2:
+        return True
+    blue, green, red = cv2.split(pixels)
+    worst = max(int(cv2.absdiff(blue, green).max()), int(cv2.absdiff(green, red).max()))
+    return worst <= GREY_TOLERANCE
+
+
+def _as_mode(pixels: Image, grey: bool) -> Image:
+    """The pixels in the channels that the target's models expect."""
+    if grey == (pixels.ndim == 2):
+        return pixels
+    return cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY if grey else cv2.COLOR_GRAY2BGR)  # type: ignore[return-value]

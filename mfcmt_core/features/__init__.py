@@ -1,0 +1,70 @@
+"""The template features of section III-A on one grid of cells: raw pixels, fHOG and colour names.
+
+Each cue is a block of planes of one stack, ``(channels, cells, cells)`` float32, times the Hann window.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ..config import MFCMTConfig
+from ..geometry import CELL, Image
+from ..kernels.cells import color_name_cells, gray_cells
+from ..kernels.hog import CHANNELS, SIGNED, gradients, histogram_cells, normalize_cells
+from ..workspace import scratch
+from .color_names import table
+
+CUES = ("gray", "fhog", "color_names")
+
+
+def hann_window(cells: int) -> npt.NDArray[np.float32]:
+    """Separable cosine window (cells, cells) without a border of zeros."""
+    window = np.hanning(cells + 2)[1:-1]
+    return np.outer(window, window).astype(np.float32)
+
+
+class FeatureStack:
+    """Extracts the cues of a configuration; ``blocks`` says which planes belong to which cue.
+
+    Colour names say nothing about a grey sequence and are left out there, as the field does.
+    """
+
+    def __init__(self, config: MFCMTConfig, grey: bool) -> None:
+        self.cells = config.patch_size // CELL
+        self.window = hann_window(self.cells)
+        self.epsilon = np.float32(config.hog_epsilon)
+        self.blocks: dict[str, slice] = {}
+        widths = {"gray": 1, "fhog": CHANNELS, "color_names": 0}
+        if not grey and "color_names" in config.features:
+            self.names = table(config.color_name_table)
+            widths["color_names"] = self.names.shape[1]
+        start = 0
+        for cue in config.features:
+            if widths[cue]:
+                self.blocks[cue] = slice(start, start + widths[cue])
+                start += widths[cue]
+        self.channels = start
+
+    def extract(self, patch: Image) -> npt.NDArray[np.float32]:
+        """Windowed features (channels, cells, cells) of ``patch`` (H, W[, 3]); scratch, valid until the next call."""
+        n, side = self.cells, self.cells * CELL
+        margin = (patch.shape[0] - side) // 2  # 150 px hold 37 cells: the odd pixel is left out on each side
+        if margin:
+            patch = np.ascontiguousarray(patch[margin : margin + side, margin : margin + side])
+        out = scratch("features", (self.channels, n, n))
+        gray = patch if patch.ndim == 2 else cv2.cvtColor(patch, cv2.COLOR_BGR2GRAY)
+        if block := self.blocks.get("gray"):
+            gray_cells(gray, self.window, out[block.start])
+        if block := self.blocks.get("fhog"):
+            magnitude = scratch("magnitude", (side, side))
+            orientation = scratch("orientation", (side, side), np.int32)
+            histogram = scratch("cells", (n, SIGNED, n))
+            gradients(gray, magnitude, orientation)
+            histogram_cells(magnitude, orientation, scratch("rows", (4, SIGNED, n + 2)), histogram)
+            normalize_cells(histogram, self.window, self.epsilon, scratch("norms", (n + 1, n + 1)), out[block])
+        if block := self.blocks.get("color_names"):
+            means = cv2.resize(patch, (n, n), interpolation=cv2.INTER_AREA)
+            color_name_cells(means, self.names, self.window, out[block])
+        return out

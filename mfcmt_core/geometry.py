@@ -1,0 +1,191 @@
+"""Boxes, frames, and the search window with its exact maps between image, patch and cells.
+
+Coordinates are continuous and 0-based: pixel i covers [i, i + 1), a box's left edge is ``x``, its centre
+``x + w / 2``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import ceil, floor, isfinite, sqrt
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from .errors import BadBox, BadImage, RegionTooSmall
+from .result import Box
+
+if TYPE_CHECKING:
+    from .config import MFCMTConfig
+
+Image = npt.NDArray[np.uint8]
+Rect = tuple[int, int, int, int]
+"""``(x, y, w, h)`` in whole pixels of the frame."""
+
+CELL = 4
+"""Side of a cell in pixels of the patch (section IV-A)."""
+
+
+def check_box(box: Iterable[float], frame_size: tuple[int, int]) -> Box:
+    """The box as four floats. Raises BadBox unless finite, of positive size and a quarter inside the frame."""
+    try:
+        x, y, w, h = (float(v) for v in box)
+    except (TypeError, ValueError) as error:
+        raise BadBox(f"a box is four numbers x, y, w, h, not {box!r}") from error
+    if not all(map(isfinite, (x, y, w, h))):
+        raise BadBox(f"not finite: {(x, y, w, h)}")
+    if not (w > 0 and h > 0):
+        raise BadBox(f"no area: {(x, y, w, h)}")
+    inside_w = min(x + w, frame_size[0]) - max(x, 0.0)
+    inside_h = min(y + h, frame_size[1]) - max(y, 0.0)
+    if inside_w <= 0 or inside_h <= 0 or inside_w * inside_h < 0.25 * w * h:
+        raise BadBox(f"less than a quarter of {(x, y, w, h)} lies inside the frame of {frame_size}")
+    return x, y, w, h
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One frame, or a cut of it: ``image`` shows the frame of ``size`` (w, h) from ``offset`` (x, y) on."""
+
+    image: Image
+    offset: tuple[int, int]
+    size: tuple[int, int]
+
+    @classmethod
+    def of(cls, image: Image, offset: tuple[int, int] = (0, 0), frame_size: tuple[int, int] | None = None) -> Frame:
+        """Check an image as the caller gave it. Raises BadImage."""
+        if not isinstance(image, np.ndarray) or image.dtype != np.uint8:
+            kind = getattr(image, "dtype", type(image).__name__)
+            raise BadImage(f"an image is a uint8 array, not {kind}")
+        if not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
+            raise BadImage(f"an image has shape (H, W) or (H, W, 3), not {image.shape}")
+        height, width = image.shape[:2]
+        if height < 1 or width < 1:
+            raise BadImage(f"an image without pixels: {image.shape}")
+        size = (width, height) if frame_size is None else (int(frame_size[0]), int(frame_size[1]))
+        x, y = int(offset[0]), int(offset[1])
+        if x < 0 or y < 0 or x + width > size[0] or y + height > size[1]:
+            raise BadImage(f"a cut of {width}×{height} at {(x, y)} does not lie in a frame of {size}")
+        return cls(image, (x, y), size)
+
+    @property
+    def rect(self) -> Rect:
+        """The part of the frame that the image shows."""
+        return (*self.offset, self.image.shape[1], self.image.shape[0])
+
+    def require(self, needed: Rect) -> None:
+        """Raises RegionTooSmall unless the image shows all of ``needed``."""
+        x, y, w, h = self.rect
+        if needed[0] < x or needed[1] < y or needed[0] + needed[2] > x + w or needed[1] + needed[3] > y + h:
+            raise RegionTooSmall(self.rect, needed)
+
+    def sample(self, rect: Rect, within: Rect, out_size: tuple[int, int]) -> Image:
+        """``rect`` resized to ``out_size`` (w, h); beyond ``within`` its border pixels repeat.
+
+        A large rectangle is thinned out first, so the cost follows the patch and not the rectangle; what
+        remains is resized by less than three, where bilinear interpolation averages enough.
+        """
+        x, y, w, h = rect
+        step_x, step_y = max(w // (2 * out_size[0]), 1), max(h // (2 * out_size[1]), 1)
+        x0, x1, left, right = _inside(x, w, step_x, within[0], within[2])
+        y0, y1, top, bottom = _inside(y, h, step_y, within[1], within[3])
+        ox, oy = self.offset
+        pixels = self.image[y0 - oy : y1 - oy : step_y, x0 - ox : x1 - ox : step_x]
+        if left or right or top or bottom:
+            pixels = cv2.copyMakeBorder(  # type: ignore[assignment]
+                np.ascontiguousarray(pixels), top, bottom, left, right, cv2.BORDER_REPLICATE
+            )
+        elif step_x > 1 or step_y > 1:
+            pixels = np.ascontiguousarray(pixels)
+        return cv2.resize(pixels, out_size, interpolation=cv2.INTER_LINEAR)  # type: ignore[return-value]
+
+
+def _inside(start: int, length: int, step: int, low: int, extent: int) -> tuple[int, int, int, int]:
+    """Of the samples start, start + step, … of ``length``: slice of those in the extent, counts outside."""
+    count = length // step
+    before = min(max(-((start - low) // step), 0), count - 1) if start < low else 0
+    last_inside = (low + extent - 1 - start) // step
+    after = min(max(count - 1 - last_inside, 0), count - 1)
+    if before + after >= count:  # wholly outside: the nearest pixel repeats
+        pixel = low if start < low else low + extent - 1
+        return pixel, pixel + 1, before, count - 1 - before
+    first = start + before * step
+    return first, start + (count - after - 1) * step + 1, before, after
+
+
+@dataclass(frozen=True, slots=True)
+class Patch:
+    """Pixels of the search window, ``(patch, patch[, 3])``, and where they come from.
+
+    ``center`` is the exact centre of the whole-pixel cut and ``step`` the image pixels a patch pixel, (x, y):
+    displacements count from that centre, not from the unrounded one that was asked for.
+    """
+
+    pixels: Image
+    center: tuple[float, float]
+    step: tuple[float, float]
+
+
+class SearchWindow:
+    """The search window of one target: its size at scale 1 and the grids that lie on it.
+
+    ``extent`` (w, h) image pixels at scale 1; ``patch_size`` the side of the square patch that it is resized
+    to (the aspect is not kept: every target has the same grid and the same cost); ``cells`` a side;
+    ``target`` (w, h) of the target in cells; ``reach`` (x, y) the largest displacement in cells.
+    """
+
+    def __init__(self, config: MFCMTConfig, base_size: tuple[float, float]) -> None:
+        w, h = base_size
+        k = config.search_area_scale
+        if config.window == "target":
+            self.extent = (k * w, k * h)
+        elif config.window == "context":
+            pad = (k - 1) * (w + h) / 2
+            self.extent = (w + pad, h + pad)
+        else:
+            self.extent = (k * sqrt(w * h), k * sqrt(w * h))
+        self.base_size = base_size
+        self.patch_size = config.patch_size
+        self.cells = config.patch_size // CELL
+        self.target = (self.cells * w / self.extent[0], self.cells * h / self.extent[1])
+        self.reach = (self._reach(self.target[0]), self._reach(self.target[1]))
+
+    def _reach(self, target_cells: float) -> int:
+        """Displacements at which the target still lies in the window, but at least two cells."""
+        return max(2, min(floor((self.cells - target_cells) / 2), (self.cells - 1) // 2))
+
+    def rect(self, center: tuple[float, float], scale: float, grow: float = 1.0) -> Rect:
+        """The window around ``center`` as whole pixels of the frame, not clipped to it."""
+        w = max(2, round(self.extent[0] * scale * grow))
+        h = max(2, round(self.extent[1] * scale * grow))
+        return floor(center[0] - w / 2 + 0.5), floor(center[1] - h / 2 + 0.5), w, h
+
+    def crop(self, frame: Frame, within: Rect, center: tuple[float, float], scale: float) -> Patch:
+        """The window's pixels at ``center`` and ``scale``; nothing outside ``within`` is looked at."""
+        x, y, w, h = self.rect(center, scale)
+        size = self.patch_size
+        pixels = frame.sample((x, y, w, h), within, (size, size))
+        return Patch(pixels, (x + w / 2, y + h / 2), (w / size, h / size))
+
+    def displaced(self, patch: Patch, displacement: tuple[float, float]) -> tuple[float, float]:
+        """The place in the frame that lies ``displacement`` (x, y) cells from the patch's centre."""
+        dx, dy = displacement
+        return patch.center[0] + dx * CELL * patch.step[0], patch.center[1] + dy * CELL * patch.step[1]
+
+
+def clip_rect(rect: Rect, frame_size: tuple[int, int]) -> Rect:
+    """The part of ``rect`` inside the frame, at least one pixel."""
+    x, y, w, h = rect
+    x0, y0 = min(max(x, 0), frame_size[0] - 1), min(max(y, 0), frame_size[1] - 1)
+    x1, y1 = max(min(x + w, frame_size[0]), x0 + 1), max(min(y + h, frame_size[1]), y0 + 1)
+    return x0, y0, x1 - x0, y1 - y0
+
+
+def grow_rect(rect: Rect, by_x: float, by_y: float) -> Rect:
+    """``rect`` with so many pixels more on each side, rounded outwards."""
+    x, y, w, h = rect
+    gx, gy = ceil(by_x), ceil(by_y)
+    return x - gx, y - gy, w + 2 * gx, h + 2 * gy

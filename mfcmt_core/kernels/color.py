@@ -1,0 +1,93 @@
+"""Colour histograms, their per-pixel look-up, and the sums of an integral image."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ._jit import kernel
+
+
+@kernel
+def bin_pixels(patch, bins):  # type: ignore[no-untyped-def]
+    """Index of each pixel's cell of the 32×32×32 RGB cube: ``bins`` (H, W) int32 ← ``patch`` (H, W, 3) BGR."""
+    height, width = bins.shape
+    for y in range(height):
+        for x in range(width):
+            bins[y, x] = (
+                (np.int32(patch[y, x, 2]) >> 3)
+                | ((np.int32(patch[y, x, 1]) >> 3) << 5)
+                | ((np.int32(patch[y, x, 0]) >> 3) << 10)
+            )
+
+
+@kernel
+def bin_gray(patch, bins):  # type: ignore[no-untyped-def]
+    """Index of each grey pixel among 32 bins: ``bins`` (H, W) int32 ← ``patch`` (H, W) uint8."""
+    height, width = bins.shape
+    for y in range(height):
+        for x in range(width):
+            bins[y, x] = np.int32(patch[y, x]) >> 3
+
+
+@kernel
+def count_colors(bins, inner, outer, foreground, background):  # type: ignore[no-untyped-def]
+    """Histograms of the two regions, each of sum 1.
+
+    ``inner`` and ``outer`` are ``(top, left, bottom, right)``: pixels inside ``inner`` are foreground, those
+    outside ``outer`` background, those between neither.
+    """
+    height, width = bins.shape
+    foreground[:] = 0
+    background[:] = 0
+    f = max((inner[2] - inner[0]) * (inner[3] - inner[1]), 1)
+    b = max(height * width - (outer[2] - outer[0]) * (outer[3] - outer[1]), 1)
+    one_f = np.float32(1) / np.float32(f)
+    one_b = np.float32(1) / np.float32(b)
+    for y in range(height):
+        inside_rows = outer[0] <= y < outer[2]
+        for x in range(width):
+            if inside_rows and outer[1] <= x < outer[3]:
+                if inner[0] <= y < inner[2] and inner[1] <= x < inner[3]:
+                    foreground[bins[y, x]] += one_f
+            else:
+                background[bins[y, x]] += one_b
+
+
+@kernel
+def learn_lookup(new_f, new_b, rate, foreground, background, unseen, lookup):  # type: ignore[no-untyped-def]
+    """Equations 11 and 6: histograms move by ``rate``, ``lookup`` becomes F / (F + B), unseen bins ``unseen``."""
+    keep = np.float32(1) - rate
+    for i in range(lookup.size):
+        f = keep * foreground[i] + rate * new_f[i]
+        b = keep * background[i] + rate * new_b[i]
+        foreground[i] = f
+        background[i] = b
+        total = f + b
+        lookup[i] = f / total if total > np.float32(1e-12) else unseen
+
+
+@kernel
+def look_up(bins, lookup, integral):  # type: ignore[no-untyped-def]
+    """Per-pixel likelihood summed up: ``integral`` (H + 1, W + 1) float32, the recursion of equation 7."""
+    height, width = bins.shape
+    integral[0, :] = 0
+    for y in range(height):
+        integral[y + 1, 0] = 0
+        total = np.float32(0)
+        for x in range(width):
+            total += lookup[bins[y, x]]
+            integral[y + 1, x + 1] = integral[y, x + 1] + total
+
+
+@kernel
+def box_means(integral, rows, columns, box_height, box_width, out):  # type: ignore[no-untyped-def]
+    """Mean over a box at each placement: four corners of the integral image (equation 7).
+
+    ``rows`` and ``columns`` are the tops and lefts of the boxes; ``out`` (len(rows), len(columns)) float32.
+    """
+    scale = np.float32(1) / np.float32(box_height * box_width)
+    for i in range(rows.size):
+        top, bottom = integral[rows[i]], integral[rows[i] + box_height]
+        for j in range(columns.size):
+            left, right = columns[j], columns[j] + box_width
+            out[i, j] = (bottom[right] - bottom[left] - top[right] + top[left]) * scale

@@ -1,0 +1,153 @@
+"""fHOG: the 31-channel histogram of oriented gradients of Felzenszwalb et al. (PAMI 2010).
+
+Arrays are planar, ``(channels, rows, columns)``, so that every inner loop runs along a row of cells.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ._jit import kernel
+
+ORIENTATIONS = 9
+SIGNED = 2 * ORIENTATIONS
+CHANNELS = SIGNED + ORIENTATIONS + 4
+CLIP = np.float32(0.2)
+TEXTURE = np.float32(0.2357)  # Felzenszwalb's weight of the four texture channels
+
+_ANGLES = np.arange(ORIENTATIONS) * np.pi / ORIENTATIONS
+_COS = tuple(np.float32(v) for v in np.cos(_ANGLES))
+_SIN = tuple(np.float32(v) for v in np.sin(_ANGLES))
+
+
+@kernel
+def gradients(gray, magnitude, orientation):  # type: ignore[no-untyped-def]
+    """Central differences of ``gray`` (H, W) uint8 → ``magnitude`` float32 and signed ``orientation`` int32.
+
+    The orientation is the nearest of 18 directions; the border repeats.
+    """
+    height, width = gray.shape
+    for y in range(height):
+        above, row, below = gray[max(y - 1, 0)], gray[y], gray[min(y + 1, height - 1)]
+        m, b = magnitude[y], orientation[y]
+        for x in range(1, width - 1):
+            dx = np.float32(row[x + 1]) - np.float32(row[x - 1])
+            dy = np.float32(below[x]) - np.float32(above[x])
+            best = np.float32(0)
+            bin_ = np.int32(0)
+            for o in range(9):
+                dot = _COS[o] * dx + _SIN[o] * dy
+                if dot > best:
+                    best = dot
+                    bin_ = np.int32(o)
+                if -dot > best:
+                    best = -dot
+                    bin_ = np.int32(o + 9)
+            m[x] = np.sqrt(dx * dx + dy * dy)
+            b[x] = bin_
+        m[0], b[0] = m[1], b[1]
+        m[width - 1], b[width - 1] = m[width - 2], b[width - 2]
+
+
+@kernel
+def histogram_cells(magnitude, orientation, rows, histogram):  # type: ignore[no-untyped-def]
+    """Bilinear votes of pixels into cells of 4×4: ``histogram`` (cells_y, 18, cells_x) float32.
+
+    ``rows`` (4, 18, cells_x + 2) float32 is scratch: four rows of pixels vote into four buffers, which keeps
+    consecutive additions to the same bin apart.
+    """
+    cells_y, bins, cells_x = histogram.shape
+    histogram[:] = 0
+    fractions = (np.float32(0.625), np.float32(0.875), np.float32(0.125), np.float32(0.375))
+    # pixel p of a cell votes (1 - f) to the cell at `first` and f to the next; p = 0, 1 lean to the left
+    for group in range(cells_y):
+        rows[:] = 0
+        y = 4 * group
+        for cx in range(cells_x):
+            for p in range(4):
+                right = fractions[p]
+                left = np.float32(1) - right
+                first = cx + (p >> 1)  # index into rows, whose column 0 is the cell left of the first
+                x = 4 * cx + p
+                for r in range(4):
+                    bin_ = orientation[y + r, x]
+                    vote = magnitude[y + r, x]
+                    rows[r, bin_, first] += left * vote
+                    rows[r, bin_, first + 1] += right * vote
+        for r in range(4):
+            lower = fractions[r]
+            upper = np.float32(1) - lower
+            first = group - 1 + (r >> 1)
+            if first >= 0:
+                for o in range(bins):
+                    for cx in range(cells_x):
+                        histogram[first, o, cx] += upper * rows[r, o, cx + 1]
+            if first + 1 < cells_y:
+                for o in range(bins):
+                    for cx in range(cells_x):
+                        histogram[first + 1, o, cx] += lower * rows[r, o, cx + 1]
+
+
+@kernel
+def normalize_cells(histogram, window, epsilon, norms, out):  # type: ignore[no-untyped-def]
+    """Block-normalise, clip and window: ``out`` (31, cells_y, cells_x) ← ``histogram`` (cells_y, 18, cells_x).
+
+    ``window`` (cells_y, cells_x) multiplies every channel; ``epsilon`` is added to each block's energy;
+    ``norms`` (cells_y + 1, cells_x + 1) is scratch. Blocks beyond the border repeat the last cell.
+    """
+    cells_y, bins, cells_x = histogram.shape
+    half = bins // 2
+    previous = np.zeros(cells_x, np.float32)
+    current = np.zeros(cells_x, np.float32)
+    for cy in range(cells_y + 1):
+        if cy < cells_y:
+            current[:] = 0
+            for o in range(half):
+                for cx in range(cells_x):
+                    e = histogram[cy, o, cx] + histogram[cy, o + half, cx]
+                    current[cx] += e * e
+        if cy == 0:
+            previous[:] = current
+        # block (cy, bx) covers cell rows cy-1, cy and columns bx-1, bx
+        for bx in range(cells_x + 1):
+            left, right = max(bx - 1, 0), min(bx, cells_x - 1)
+            block = previous[left] + previous[right] + current[left] + current[right]
+            norms[cy, bx] = np.float32(1) / np.sqrt(block + epsilon)
+        previous[:] = current
+    half_f = np.float32(0.5)
+    texture = np.zeros((4, cells_x), np.float32)
+    for cy in range(cells_y):
+        up, down, win = norms[cy], norms[cy + 1], window[cy]
+        texture[:] = 0
+        for o in range(bins):
+            h = histogram[cy, o]
+            target = out[o, cy]
+            for cx in range(cells_x):
+                a = min(h[cx] * up[cx], CLIP)
+                b = min(h[cx] * up[cx + 1], CLIP)
+                c = min(h[cx] * down[cx], CLIP)
+                d = min(h[cx] * down[cx + 1], CLIP)
+                target[cx] = half_f * (a + b + c + d) * win[cx]
+                texture[0, cx] += a
+                texture[1, cx] += b
+                texture[2, cx] += c
+                texture[3, cx] += d
+        for o in range(half):
+            first, second = histogram[cy, o], histogram[cy, o + half]
+            target = out[bins + o, cy]
+            for cx in range(cells_x):
+                s = first[cx] + second[cx]
+                target[cx] = (
+                    half_f
+                    * (
+                        min(s * up[cx], CLIP)
+                        + min(s * up[cx + 1], CLIP)
+                        + min(s * down[cx], CLIP)
+                        + min(s * down[cx + 1], CLIP)
+                    )
+                    * win[cx]
+                )
+        for k in range(4):
+            target = out[bins + half + k, cy]
+            for cx in range(cells_x):
+                target[cx] = TEXTURE * texture[k, cx] * win[cx]

@@ -1,0 +1,286 @@
+"""Sequences of frames with ground truth, and the OTB benchmark as it is distributed."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterable, Iterator
+from collections.abc import Sequence as Seq
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from .errors import DataError
+from .metrics import Array, Mask
+
+Image = npt.NDArray[np.uint8]
+
+ONE_BASED: Array = np.array([1.0, 1.0, 0.0, 0.0])
+"""What a box of a file (MATLAB's pixels, 1-based) has more than one of ours."""
+
+IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".webp"})
+ATTRIBUTES = {
+    "IV": "illumination variation",
+    "OPR": "out-of-plane rotation",
+    "SV": "scale variation",
+    "OCC": "occlusion",
+    "DEF": "deformation",
+    "MB": "motion blur",
+    "FM": "fast motion",
+    "IPR": "in-plane rotation",
+    "OV": "out of view",
+    "BC": "background clutter",
+    "LR": "low resolution",
+}
+"""The 11 attributes in the order of the toolkit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sequence:
+    """One target: its frames and where it is in them.
+
+    ``boxes`` is ``(N, 4)`` float64, x, y, w, h in pixels, 0-based. ``valid`` is ``(N,)`` and tells the frames
+    with a usable annotation, ``startable`` those on which a run of TRE may start. Frames that are not valid
+    count the OTB way (lost for success, found for precision) unless ``skip_invalid``. ``first`` is the number
+    of the first frame in its folder. ``frames`` is empty where only annotations are at hand.
+    """
+
+    name: str
+    frames: tuple[Path, ...]
+    boxes: Array
+    valid: Mask
+    startable: Mask
+    first: int = 1
+    sets: frozenset[str] = frozenset()
+    attributes: tuple[str, ...] = ()
+    skip_invalid: bool = False
+
+    def __len__(self) -> int:
+        return len(self.boxes)
+
+    @property
+    def last(self) -> int:
+        """Number of the last frame in its folder."""
+        return self.first + len(self) - 1
+
+    @cached_property
+    def image_size(self) -> tuple[int, int] | None:
+        """Width and height of the frames in pixels; None without frames."""
+        if not self.frames:
+            return None
+        height, width = self.read(0).shape[:2]
+        return width, height
+
+    def read(self, index: int) -> Image:
+        """Decode a frame: ``(H, W, 3)`` uint8, BGR. Raises DataError for a file that is no image."""
+        image = cv2.imread(str(self.frames[index]), cv2.IMREAD_COLOR)
+        if image is None:
+            raise DataError(f"{self.frames[index]}: not a readable image")
+        return image.astype(np.uint8, copy=False)
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Sequences by name, in the benchmark's order. ``missing`` are those that are not there."""
+
+    name: str
+    sequences: dict[str, Sequence]
+    missing: tuple[str, ...] = ()
+    root: Path = field(default_factory=Path)
+
+    def __len__(self) -> int:
+        return len(self.sequences)
+
+    def __iter__(self) -> Iterator[Sequence]:
+        return iter(self.sequences.values())
+
+    def __getitem__(self, name: str) -> Sequence:
+        return self.sequences[name]
+
+    @property
+    def coverage(self) -> str:
+        """``"29 of 100"`` where some are missing, else ``"100"``."""
+        total = len(self) + len(self.missing)
+        return f"{len(self)} of {total}" if self.missing else str(total)
+
+    def select(self, names: Iterable[str]) -> Dataset:
+        """Only the named sequences. Raises DataError for a name that is not there."""
+        names = list(names)
+        if unknown := [n for n in names if n not in self.sequences]:
+            raise DataError(f"{self.name} at {self.root} has no {', '.join(unknown)}")
+        return Dataset(self.name, {n: self.sequences[n] for n in names}, (), self.root)
+
+
+@dataclass(frozen=True)
+class Target:
+    """A target of OTB: frame numbers, sets, attributes, frames where TRE does not start."""
+
+    name: str
+    first: int
+    last: int
+    sets: frozenset[str]
+    attributes: tuple[str, ...]
+    omit: tuple[tuple[int, int], ...]
+
+
+def otb_targets(subset: str = "OTB-2015") -> list[Target]:
+    """The targets of ``OTB-2015`` (100), ``OTB-2013`` (51) or ``TB-50``."""
+    text = resources.files(__package__).joinpath("data/otb100.csv").read_text(encoding="utf-8")
+    targets = [
+        Target(
+            row["name"],
+            int(row["first"]),
+            int(row["last"]),
+            frozenset(["OTB-2015", *row["sets"].split()]),
+            tuple(row["attributes"].split()),
+            tuple((int(a), int(b)) for a, b in (span.split("-") for span in row["omit"].split())),
+        )
+        for row in csv.DictReader(text.splitlines())
+    ]
+    return [t for t in targets if subset in t.sets]
+
+
+def open_otb(root: Path, subset: str = "OTB-2015") -> Dataset:
+    """OTB as it is distributed, or a folder of annotations alone (``<Sequence>.txt``).
+
+    Raises DataError where a sequence is there and cannot be used.
+    """
+    if not root.is_dir():
+        raise DataError(f"{root}: no such folder")
+    entries = {entry.name.lower(): entry for entry in sorted(root.iterdir())}
+    found, missing = {}, []
+    for target in otb_targets(subset):
+        sequence = _open_target(target, entries)
+        if sequence is None:
+            missing.append(target.name)
+        else:
+            found[target.name] = sequence
+    if not found:
+        raise DataError(f"{root}: none of the {len(missing)} sequences of {subset} is here")
+    return Dataset(subset, found, tuple(missing), root)
+
+
+def _open_target(target: Target, entries: dict[str, Path]) -> Sequence | None:
+    base, _, number = target.name.lower().partition("-")
+    spellings = [target.name.lower()] + (
+        [f"{base}.{number}", f"{base}_{number}", base + number, base] if number else []
+    )
+    for spelling in spellings:
+        folder = entries.get(spelling)
+        if folder is not None and folder.is_dir():
+            if not (folder / "img").is_dir() and (folder / folder.name / "img").is_dir():
+                folder = folder / folder.name  # some archives nest the folder in one of its own name
+            truth = _truth_file(folder, number)
+            frames = numbered_images(folder / "img", target.first, target.last)
+            break
+        annotation = entries.get(spelling + ".txt")
+        if annotation is not None:
+            truth, frames = annotation, ()
+            break
+    else:
+        return None
+    lines = read_boxes(truth)
+    if len(lines) >= target.last:  # one line a frame from number 1 on
+        lines = lines[target.first - 1 : target.last]
+    if len(lines) != target.last - target.first + 1:
+        raise DataError(f"{truth}: {len(lines)} boxes for the frames {target.first} to {target.last}")
+    numbers = np.arange(target.first, target.last + 1)
+    omitted = np.zeros(len(lines), bool)
+    for begin, end in target.omit:
+        omitted |= (numbers >= begin) & (numbers <= end)
+    return annotated(
+        target.name,
+        frames,
+        lines,
+        startable=~omitted,
+        first=target.first,
+        sets=target.sets,
+        attributes=target.attributes,
+    )
+
+
+def annotated(
+    name: str,
+    frames: Seq[Path],
+    lines: Array,
+    *,
+    startable: Mask | None = None,
+    first: int = 1,
+    sets: frozenset[str] = frozenset(),
+    attributes: tuple[str, ...] = (),
+) -> Sequence:
+    """A sequence from 1-based boxes; as in the toolkit an annotation needs all four numbers above zero."""
+    valid = np.all(lines > 0, axis=1)
+    if not valid.any():
+        raise DataError(f"{name}: no frame has a valid annotation")
+    startable = valid if startable is None else startable & valid
+    return Sequence(name, tuple(frames), lines - ONE_BASED, valid, startable, first, sets, attributes)
+
+
+def _truth_file(folder: Path, number: str) -> Path:
+    names = ["groundtruth_rect.txt"]
+    if number:
+        names.insert(0, f"groundtruth_rect.{number}.txt")
+    for name in names:
+        if (folder / name).is_file():
+            return folder / name
+    raise DataError(f"{folder}: has no {' or '.join(names)}")
+
+
+def list_images(folder: Path) -> list[Path]:
+    """The image files of a folder, in the order of their numbers."""
+    images = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES] if folder.is_dir() else []
+    return sorted(images, key=lambda p: (_number(p), p.name))
+
+
+def numbered_images(folder: Path, first: int, last: int) -> tuple[Path, ...]:
+    """The images ``first`` to ``last`` by the numbers in their names, however many digits these have.
+
+    A folder that was numbered anew but has exactly as many images is taken as it is.
+    """
+    images = list_images(folder)
+    by_number = {_number(p): p for p in images}
+    wanted = range(first, last + 1)
+    absent = [n for n in wanted if n not in by_number]
+    if not absent:
+        return tuple(by_number[n] for n in wanted)
+    if len(images) == len(wanted):
+        return tuple(images)
+    raise DataError(f"{folder}: {len(absent)} of the images {first} to {last} are missing, first number {absent[0]}")
+
+
+def _number(path: Path) -> int:
+    digits = re.findall(r"\d+", path.stem)
+    return int(digits[-1]) if digits else -1
+
+
+def read_boxes(path: Path, columns: tuple[int, ...] = (4,)) -> Array:
+    """Boxes of a text file, ``(N, 4)``: one a line, numbers apart by comma, tab or space; NaN allowed.
+
+    Lines at the end that are empty are ignored. Raises DataError with file and line.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").rstrip().splitlines()
+    except (OSError, UnicodeDecodeError) as failed:
+        raise DataError(f"{path}: {failed}") from None
+    rows = []
+    for number, line in enumerate(lines, 1):
+        try:
+            row = [float(f) for f in line.replace(",", " ").split()]
+        except ValueError:
+            raise DataError(f"{path}:{number}: not numbers: {line.strip()[:60]!r}") from None
+        if len(row) not in columns:
+            wanted = " or ".join(map(str, columns))
+            raise DataError(f"{path}:{number}: {len(row)} numbers where {wanted} are wanted: {line.strip()[:60]!r}")
+        rows.append(row)
+    if not rows:
+        raise DataError(f"{path}: is empty")
+    if len({len(row) for row in rows}) > 1:
+        odd = next(n for n, row in enumerate(rows, 1) if len(row) != len(rows[0]))
+        raise DataError(f"{path}:{odd}: {len(rows[odd - 1])} numbers after lines of {len(rows[0])}")
+    return np.array(rows, dtype=np.float64)

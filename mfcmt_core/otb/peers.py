@@ -1,0 +1,101 @@
+"""Trackers of other libraries, for comparison: OpenCV's CSRT, KCF and MOSSE, dlib's correlation tracker.
+
+They need ``opencv-contrib-python-headless`` (which replaces the plain wheel) and ``dlib``, so they live in an
+environment of their own.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+
+from ..geometry import Image
+from ..result import Box
+
+_cv: Any = cv2  # the type stubs of the plain wheel do not know the contrib trackers
+
+
+class OpenCVTracker:
+    """A tracker of OpenCV. Where it reports a miss the previous box stands, since OpenCV gives none then."""
+
+    def __init__(self, create: Callable[[], Any]) -> None:
+        self._tracker = create()
+        self._box: Box = (0.0, 0.0, 0.0, 0.0)
+
+    def init(self, image: Image, box: Iterable[float]) -> None:
+        """Start on the box; OpenCV takes whole pixels only."""
+        x, y, w, h = (round(v) for v in box)
+        self._tracker.init(image, (x, y, w, h))
+        self._box = (float(x), float(y), float(w), float(h))
+
+    def update(self, image: Image) -> Box:
+        """The box in the next frame."""
+        found, (x, y, w, h) = self._tracker.update(image)
+        if found:
+            self._box = (float(x), float(y), float(w), float(h))
+        return self._box
+
+
+class DlibTracker:
+    """dlib's correlation tracker (of the DSST family), with its default parameters, on RGB."""
+
+    def __init__(self) -> None:
+        self._dlib: Any = importlib.import_module("dlib")
+        self._tracker = self._dlib.correlation_tracker()
+
+    def init(self, image: Image, box: Iterable[float]) -> None:
+        """Start on the box; dlib's rectangles include their last pixel."""
+        x, y, w, h = box
+        rectangle = self._dlib.drectangle(x, y, x + w - 1, y + h - 1)
+        self._tracker.start_track(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), rectangle)
+
+    def update(self, image: Image) -> Box:
+        """The box in the next frame."""
+        self._tracker.update(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+        place = self._tracker.get_position()
+        return place.left(), place.top(), place.right() - place.left() + 1, place.bottom() - place.top() + 1
+
+
+def _kcf() -> Any:
+    parameters = _cv.TrackerKCF_Params()
+    parameters.detect_thresh = 0.0  # at the default 0.5 it gives up within a few frames of most sequences
+    return _cv.TrackerKCF_create(parameters)
+
+
+_OPENCV: dict[str, tuple[str, Callable[[], Any]]] = {
+    "opencv-csrt": ("TrackerCSRT_create", lambda: _cv.TrackerCSRT_create()),
+    "opencv-kcf": ("TrackerKCF_create", _kcf),
+    "opencv-mosse": ("legacy", lambda: _cv.legacy.TrackerMOSSE_create()),
+}
+
+PEERS = (*_OPENCV, "dlib")
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A tracker of :data:`PEERS` by name; an :class:`~mfcmt_core.otb.trackers.Entry`."""
+
+    name: str
+    peer: str
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """The library's version stands for its code."""
+        library = importlib.import_module("dlib") if self.peer == "dlib" else _cv
+        return {"code": f"{self.peer} {library.__version__}", "config": {}}
+
+    @property
+    def lacks(self) -> str | None:
+        """What must be installed before :meth:`make` works; None where nothing is missing."""
+        if self.peer == "dlib":
+            return None if importlib.util.find_spec("dlib") else "dlib"
+        return None if hasattr(_cv, _OPENCV[self.peer][0]) else "opencv-contrib-python-headless"
+
+    def make(self) -> OpenCVTracker | DlibTracker:
+        """A tracker that has not started."""
+        return DlibTracker() if self.peer == "dlib" else OpenCVTracker(_OPENCV[self.peer][1])

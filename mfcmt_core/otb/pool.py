@@ -1,0 +1,250 @@
+"""Processes that run trackers over sequences. One that dies loses its job, not the evaluation."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Sequence as Seq
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from multiprocessing import connection, get_context
+from multiprocessing.connection import Connection
+
+import cv2
+import numpy as np
+
+from .dataset import Image, Sequence
+from .metrics import Array
+from .protocol import Run
+from .score import Speed
+from .trackers import Entry, Tracker
+
+KEPT_BYTES = 768 * 2**20
+"""Decoded frames that a process keeps for the next tracker on the same sequence."""
+
+TICK_FRAMES = 200
+
+Tick = Callable[[int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """Runs of one tracker on one sequence, done in step so that each frame is decoded once."""
+
+    entry: Entry
+    sequence: Sequence
+    runs: tuple[Run, ...]
+    keep_frames: bool = False
+
+    @property
+    def frames(self) -> int:
+        """Tracker steps."""
+        return sum(len(self.sequence) - run.start for run in self.runs)
+
+
+@dataclass
+class Outcome:
+    """Boxes ``(N, 4)`` 0-based and speed by run key, or the error that stopped the tracker."""
+
+    boxes: dict[str, Array] = field(default_factory=dict)
+    speeds: dict[str, Speed] = field(default_factory=dict)
+    error: str | None = None
+
+
+def run_jobs(jobs: Iterable[Job], workers: int, tick: Tick) -> Iterator[tuple[Job, Outcome]]:
+    """Do the jobs, in this process when ``workers`` is 1, and yield each as it is done.
+
+    ``tick`` is told tracker steps as they are made. Closing the generator stops the processes.
+    """
+    if workers > 1:
+        yield from _in_processes(deque(jobs), workers, tick)
+        return
+    runner = _Runner(tick)
+    for job in jobs:
+        with _one_thread():
+            outcome = runner.run(job)
+        yield job, outcome
+
+
+class _Runner:
+    """Runs jobs; remembers which trackers are warm and the frames of the last sequence."""
+
+    def __init__(self, tick: Tick) -> None:
+        self._tick = tick
+        self._warm: set[str] = set()
+        self._owner: tuple[object, ...] = ()
+        self._kept: dict[int, Image] = {}
+        self._kept_bytes = 0
+
+    def run(self, job: Job) -> Outcome:
+        sequence = job.sequence
+        boxes = {run.key: np.full((len(sequence) - run.start, 4), np.nan) for run in job.runs}
+        seconds = {key: np.zeros(len(rows)) for key, rows in boxes.items()}
+        trackers: dict[str, Tracker] = {}
+        unticked = 0
+        index = 0
+        try:
+            for index in range(min(run.start for run in job.runs), len(sequence)):
+                image = self._read(job, index)
+                for run in job.runs:
+                    step = index - run.start
+                    if step < 0:
+                        continue
+                    if step == 0:
+                        self._warm_up(job.entry, image, run)
+                        trackers[run.key] = job.entry.make()
+                        begun = time.perf_counter()
+                        trackers[run.key].init(image, run.box)
+                        box = run.box
+                    else:
+                        begun = time.perf_counter()
+                        result = trackers[run.key].update(image)
+                        box = getattr(result, "box", result)
+                    seconds[run.key][step] = time.perf_counter() - begun
+                    boxes[run.key][step] = box
+                    unticked += 1
+                if unticked >= TICK_FRAMES:
+                    self._tick(unticked)
+                    unticked = 0
+        except Exception as failed:
+            return Outcome(error=f"{sequence.name}, frame {sequence.first + index}: {type(failed).__name__}: {failed}")
+        self._tick(unticked)
+        speeds = {
+            key: Speed(len(t), float(t.sum()), float(np.mean(1.0 / np.maximum(t, 1e-9)))) for key, t in seconds.items()
+        }
+        return Outcome(boxes, speeds)
+
+    def _warm_up(self, entry: Entry, image: Image, run: Run) -> None:
+        """Compile and load what the tracker needs, so that its first sequence is timed like the others."""
+        if entry.name not in self._warm:
+            self._warm.add(entry.name)
+            with suppress(Exception):  # what is wrong shows in the run itself
+                tracker = entry.make()
+                tracker.init(image, run.box)
+                tracker.update(image)
+
+    def _read(self, job: Job, index: int) -> Image:
+        if self._owner != job.sequence.frames:
+            self._owner, self._kept, self._kept_bytes = job.sequence.frames, {}, 0
+        image = self._kept.get(index)
+        if image is None:
+            image = job.sequence.read(index)
+            if job.keep_frames and self._kept_bytes + image.nbytes <= KEPT_BYTES:
+                self._kept[index] = image
+                self._kept_bytes += image.nbytes
+        return image
+
+
+class _Worker:
+    """A process, the pipe to it and the job it has."""
+
+    def __init__(self) -> None:
+        context = get_context("spawn")
+        self.pipe, far_end = context.Pipe()
+        self.process = context.Process(target=_serve, args=(far_end,), daemon=True)
+        with _one_thread_environment():
+            self.process.start()
+        far_end.close()
+        self.job: Job | None = None
+
+    def give(self, job: Job) -> None:
+        self.job = job
+        self.pipe.send(job)
+
+    def stop(self) -> None:
+        self.process.terminate()
+        self.process.join()
+        self.pipe.close()
+
+
+def _in_processes(queue: deque[Job], workers: int, tick: Tick) -> Iterator[tuple[Job, Outcome]]:
+    team: dict[Connection, _Worker] = {}
+    try:
+        while queue or team:
+            while queue and len(team) < workers:
+                worker = _Worker()
+                team[worker.pipe] = worker
+                worker.give(queue.popleft())
+            for pipe in connection.wait(list(team)):
+                assert isinstance(pipe, Connection)
+                worker = team[pipe]
+                job = worker.job
+                assert job is not None
+                try:
+                    message = pipe.recv()
+                except (EOFError, ConnectionError):
+                    worker.stop()
+                    del team[pipe]
+                    message = Outcome(error=f"{job.sequence.name}: the process died ({worker.process.exitcode})")
+                if isinstance(message, int):
+                    tick(message)
+                    continue
+                if pipe in team:
+                    if queue:
+                        worker.give(queue.popleft())
+                    else:
+                        worker.stop()
+                        del team[pipe]
+                yield job, message
+    finally:
+        for worker in team.values():
+            worker.stop()
+
+
+def _serve(pipe: Connection) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which stops us
+    cv2.setNumThreads(1)
+    runner = _Runner(pipe.send)
+    while True:
+        try:
+            pipe.send(runner.run(pipe.recv()))
+        except (EOFError, ConnectionError):
+            return
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@contextmanager
+def _one_thread_environment() -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def plan(pairs: Seq[tuple[Entry, Sequence, Seq[Run]]], workers: int) -> list[Job]:
+    """Jobs for these pairs, the longest sequences first, a sequence's trackers next to each other.
+
+    Where there are fewer pairs than would keep the processes busy, their runs are dealt out.
+    """
+    parts = -(-2 * workers // max(len(pairs), 1)) if workers > 1 else 1
+    several = len({entry.name for entry, _, _ in pairs}) > 1
+    jobs = [
+        Job(entry, sequence, tuple(runs[part::parts]), keep_frames=several)
+        for entry, sequence, runs in pairs
+        for part in range(min(parts, len(runs)))
+    ]
+    longest: dict[str, int] = {}
+    for job in jobs:
+        longest[job.sequence.name] = max(longest.get(job.sequence.name, 0), job.frames)
+    return sorted(jobs, key=lambda job: (-longest[job.sequence.name], job.sequence.name))

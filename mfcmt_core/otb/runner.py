@@ -1,0 +1,120 @@
+"""Run trackers over a data set under a protocol and score them; go on where an earlier run stopped."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+
+from .dataset import Dataset, Sequence
+from .errors import DataError
+from .pool import plan, run_jobs
+from .protocol import PROTOCOLS, Run
+from .results import Record, ResultStore, read_result
+from .score import Evaluation, score_runs
+from .trackers import Entry, ResultFolder, identity_hash
+
+Progress = Callable[[int, int], None]
+
+
+def evaluate(
+    dataset: Dataset,
+    trackers: Iterable[Entry | ResultFolder],
+    protocol: str = "OPE",
+    *,
+    results: Path | None = None,
+    jobs: int | None = None,
+    progress: Progress | None = None,
+) -> list[Evaluation]:
+    """Score each tracker over the data set under ``OPE``, ``TRE`` or ``SRE``.
+
+    ``results`` is the folder of result files: what is finished there with the same code and configuration is
+    not run again. ``jobs`` is the number of processes (default: one a CPU). 1 stays in this one; with more a
+    script needs its ``if __name__ == "__main__"``. ``progress`` gets the steps done and all steps.
+    A tracker that raises loses the sequence, which is then named in :attr:`Evaluation.missing`.
+    """
+    trackers = list(trackers)
+    if len({t.name for t in trackers}) < len(trackers):
+        raise DataError("two trackers have the same name: " + ", ".join(sorted(t.name for t in trackers)))
+    runs = {sequence.name: PROTOCOLS[protocol](sequence) for sequence in dataset}
+    with ExitStack() as stack:
+        root = results or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="mfcmt-eval-")))
+        store = ResultStore(root)
+        entries = [t for t in trackers if not isinstance(t, ResultFolder)]
+        _run(dataset, entries, protocol, runs, store, jobs or os.cpu_count() or 1, progress)
+        folders = [
+            t.under(protocol) if isinstance(t, ResultFolder) else ResultFolder(t.name, store.folder(protocol, t.name))
+            for t in trackers
+        ]
+        return [_scored(dataset, folder, protocol, runs) for folder in folders]
+
+
+def _run(
+    dataset: Dataset,
+    entries: list[Entry],
+    protocol: str,
+    runs: dict[str, list[Run]],
+    store: ResultStore,
+    workers: int,
+    progress: Progress | None,
+) -> None:
+    """Do the runs that are not finished, and keep each as soon as it is."""
+    records: dict[tuple[str, str], Record] = {}
+    pairs: list[tuple[Entry, Sequence, list[Run]]] = []
+    for entry in entries:
+        made_with = entry.identity
+        identity = identity_hash(made_with)
+        for sequence in dataset:
+            record = store.record(protocol, entry.name, sequence.name)
+            if record is None or record.identity != identity or record.error is not None:
+                record = Record(identity, made_with)
+            todo = [
+                run
+                for run in runs[sequence.name]
+                if not record.has(run, len(sequence) - run.start)
+                or not store.boxes_path(protocol, entry.name, sequence.name, run.key).is_file()
+            ]
+            if todo and not sequence.frames:
+                raise DataError(f"{dataset.root}: {sequence.name} has no images for {entry.name} to run on")
+            if todo:
+                records[entry.name, sequence.name] = record
+                pairs.append((entry, sequence, todo))
+
+    jobs = plan(pairs, workers)
+    total = sum(job.frames for job in jobs)
+    done = 0
+
+    def tick(steps: int) -> None:
+        nonlocal done
+        done += steps
+        if progress is not None:
+            progress(done, total)
+
+    for job, outcome in run_jobs(jobs, min(workers, len(jobs)), tick):
+        record = records[job.entry.name, job.sequence.name]
+        record.error = outcome.error or record.error
+        for run in job.runs:
+            if run.key in outcome.speeds:
+                speed = asdict(outcome.speeds[run.key])
+                record.runs[run.key] = {"start": run.start, "box": list(run.box), **speed}
+        store.write(protocol, job.entry.name, job.sequence.name, record, outcome.boxes)
+
+
+def _scored(dataset: Dataset, folder: ResultFolder, protocol: str, runs: dict[str, list[Run]]) -> Evaluation:
+    evaluation = Evaluation(folder.name, protocol, {}, {})
+    for sequence in dataset:
+        try:
+            record = folder.record(sequence.name)
+            if record is not None and record.error is not None:
+                raise DataError(record.error)
+            boxes = [
+                (run, read_result(folder.find(sequence.name, run.key), sequence, run.start))
+                for run in runs[sequence.name]
+            ]
+            evaluation.scores[sequence.name] = score_runs(sequence, boxes, folder.speed(sequence.name))
+        except DataError as absent:
+            evaluation.missing[sequence.name] = str(absent)
+    return evaluation

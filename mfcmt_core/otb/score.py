@@ -1,0 +1,153 @@
+"""From boxes to scores: one sequence, then a tracker over a benchmark."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from . import metrics
+from .dataset import ONE_BASED, Dataset, Sequence
+from .errors import DataError
+from .metrics import Array, Mask
+from .protocol import PROTOCOLS, Run, to_original_size
+
+
+@dataclass(frozen=True)
+class Speed:
+    """How long a tracker took: ``frames`` in ``seconds``; the mean of the frames' rates in Hz."""
+
+    frames: int
+    seconds: float
+    mean_rate: float
+
+
+@dataclass(frozen=True, eq=False)
+class SequenceScore:
+    """Curves of one sequence, all runs pooled: ``(21,)`` for success, ``(51,)`` for precision."""
+
+    success_curve: Array
+    precision_curve: Array
+    norm_precision_curve: Array
+    frames: int
+    speed: Speed | None = None
+
+    @property
+    def success(self) -> float:
+        """Area under the success curve: the mean of its 21 values."""
+        return float(self.success_curve.mean())
+
+    @property
+    def precision(self) -> float:
+        """Share of frames within 20 pixels."""
+        return float(self.precision_curve[metrics.PRECISION_AT])
+
+    @property
+    def norm_precision(self) -> float:
+        """Share of frames within 0.2 of the target's size."""
+        return float(self.norm_precision_curve[metrics.NORM_PRECISION_AT])
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A tracker under one protocol. ``missing`` gives the reason for each sequence without a score."""
+
+    tracker: str
+    protocol: str
+    scores: dict[str, SequenceScore]
+    missing: dict[str, str] = field(default_factory=dict)
+
+    def curve(self, name: str, sequences: Iterable[str] | None = None) -> Array:
+        """Mean of ``success_curve``, ``precision_curve`` or ``norm_precision_curve`` over the sequences."""
+        return np.asarray(np.mean([getattr(s, name) for s in self._chosen(sequences)], axis=0))
+
+    def mean(self, name: str, sequences: Iterable[str] | None = None) -> float:
+        """Mean of ``success``, ``precision`` or ``norm_precision`` over the sequences that have a score."""
+        return float(np.mean([getattr(s, name) for s in self._chosen(sequences)]))
+
+    @property
+    def success(self) -> float:
+        """The benchmark's success score."""
+        return self.mean("success")
+
+    @property
+    def precision(self) -> float:
+        """The benchmark's precision score."""
+        return self.mean("precision")
+
+    @property
+    def norm_precision(self) -> float:
+        """Mean normalised precision."""
+        return self.mean("norm_precision")
+
+    @property
+    def fps(self) -> float | None:
+        """Frames over time, all sequences together."""
+        speeds = self._speeds()
+        return sum(s.frames for s in speeds) / sum(s.seconds for s in speeds) if speeds else None
+
+    @property
+    def mean_rate(self) -> float | None:
+        """Mean over sequences of the mean of the frames' rates: the figure other toolkits print, too kind."""
+        speeds = self._speeds()
+        return float(np.mean([s.mean_rate for s in speeds])) if speeds else None
+
+    def _speeds(self) -> list[Speed]:
+        return [s.speed for s in self.scores.values() if s.speed is not None and s.speed.seconds > 0]
+
+    def _chosen(self, names: Iterable[str] | None) -> list[SequenceScore]:
+        chosen = [self.scores[n] for n in (self.scores if names is None else names) if n in self.scores]
+        if not chosen:
+            raise DataError(f"{self.tracker}: no {self.protocol} result for any of these sequences")
+        return chosen
+
+
+def score_runs(
+    sequence: Sequence, runs: Iterable[tuple[Run, npt.ArrayLike]], speed: Speed | None = None
+) -> SequenceScore:
+    """Score the boxes of some runs (``(frames from its start on, 4)`` each, 0-based), their frames pooled.
+
+    The toolkit's rules: a box without area or with NaN is replaced by the one before it, the first box of a
+    run by the truth; a frame with an invalid annotation is lost for success and found for precision.
+    """
+    overlaps, errors, relative = [], [], []
+    for run, raw in runs:
+        boxes = np.array(raw, dtype=np.float64)
+        truth = sequence.boxes[run.start :]
+        if boxes.shape != truth.shape:
+            raise DataError(f"{sequence.name}: boxes of shape {boxes.shape} for {len(truth)} frames")
+        boxes = to_original_size(_repaired(boxes) + ONE_BASED, run.ratio) - ONE_BASED
+        boxes[0] = truth[0]
+        valid = sequence.valid[run.start :]
+        counted = valid if sequence.skip_invalid else np.ones_like(valid)
+        overlaps.append(np.where(valid, metrics.overlap(boxes, truth), -1.0)[counted])
+        errors.append(np.where(valid, metrics.center_error(boxes, truth), -1.0)[counted])
+        relative.append(np.where(valid, metrics.normalized_center_error(boxes, truth), -1.0)[counted])
+    pooled = np.concatenate(overlaps)
+    return SequenceScore(
+        metrics.success_curve(pooled),
+        metrics.precision_curve(np.concatenate(errors)),
+        metrics.precision_curve(np.concatenate(relative), metrics.NORM_PRECISION_THRESHOLDS),
+        len(pooled),
+        speed,
+    )
+
+
+def score(dataset: Dataset, boxes: Mapping[str, npt.ArrayLike], tracker: str = "tracker") -> Evaluation:
+    """OPE of boxes by sequence, each ``(N, 4)``, 0-based. ``missing`` names the sequences without."""
+    scores, missing = {}, {}
+    for sequence in dataset:
+        if sequence.name not in boxes:
+            missing[sequence.name] = "no boxes"
+            continue
+        run = PROTOCOLS["OPE"](sequence)[0]
+        scores[sequence.name] = score_runs(sequence, [(run, np.asarray(boxes[sequence.name])[run.start :])])
+    return Evaluation(tracker, "OPE", scores, missing)
+
+
+def _repaired(boxes: Array) -> Array:
+    usable: Mask = np.all(np.isfinite(boxes) & (boxes > [-np.inf, -np.inf, 0, 0]), axis=1)
+    usable[0] = True  # the first is replaced by the truth anyway
+    return np.asarray(boxes[np.maximum.accumulate(np.where(usable, np.arange(len(boxes)), 0))])

@@ -1,0 +1,134 @@
+"""What takes part in an evaluation: our own engine by configuration, peers, and folders of result files."""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..config import MFCMTConfig
+from ..geometry import Image
+from ..tracker import MFCMT
+from .dataset import read_boxes
+from .errors import DataError
+from .results import Record, read_record
+from .score import Speed
+
+
+class Tracker(Protocol):
+    """What the runner asks of a tracker: boxes are x, y, w, h, 0-based; images are BGR.
+
+    ``update`` returns a box or something with a ``box``.
+    """
+
+    def init(self, image: Image, box: Iterable[float]) -> Any:
+        """Start on the box."""
+
+    def update(self, image: Image) -> Any:
+        """Find the target in the next frame."""
+
+
+class Entry(Protocol):
+    """A tracker by name that can be made anew for each run, also in another process (it is pickled)."""
+
+    @property
+    def name(self) -> str:
+        """Its label, and the name of its folder of results."""
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """Config and a hash of the code: results are kept as long as both stay the same. JSON."""
+
+    def make(self) -> Tracker:
+        """A tracker that has not started."""
+
+
+@dataclass(frozen=True)
+class Engine:
+    """Our own tracker with one configuration."""
+
+    name: str
+    config: MFCMTConfig
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        return {"code": code_hash(), "config": asdict(self.config)}
+
+    def make(self) -> Tracker:
+        return MFCMT(self.config)
+
+
+@dataclass(frozen=True)
+class ResultFolder:
+    """Boxes of any tracker as text files, ``<folder>/<Sequence>.txt``, 1-based.
+
+    ``{protocol}`` in the folder stands for OPE, TRE or SRE.
+    """
+
+    name: str
+    folder: Path
+
+    def under(self, protocol: str) -> ResultFolder:
+        """The folder for a protocol."""
+        return ResultFolder(self.name, Path(str(self.folder).replace("{protocol}", protocol)))
+
+    def find(self, sequence: str, key: str) -> Path:
+        """The file of a run. Raises DataError where there is none."""
+        base, dash, number = sequence.partition("-")
+        spellings = [sequence] + ([f"{base}.{number}", f"{base}_{number}", f"{base}{number}"] if dash else [])
+        suffix = f".{key}.txt" if key else ".txt"
+        for name in [s + suffix for s in spellings]:
+            for path in (self.folder / name, self.folder / (name[0].lower() + name[1:])):
+                if path.is_file():
+                    return path
+        raise DataError(f"{self.folder}: has no {sequence}{suffix}")
+
+    def record(self, sequence: str) -> Record | None:
+        """How the files were made, where they are our own."""
+        return read_record(self.folder / f"{sequence}.json")
+
+    def speed(self, sequence: str) -> Speed | None:
+        """From the record, else from ``times/<Sequence>_time.txt``, got10k's seconds a frame."""
+        if (record := self.record(sequence)) is not None:
+            return record.speed
+        path = self.folder / "times" / f"{sequence}_time.txt"
+        if not path.is_file():
+            return None
+        seconds = read_boxes(path, (1,))[:, 0]
+        seconds = seconds[seconds > 0]
+        return Speed(len(seconds), float(seconds.sum()), float(np.mean(1 / seconds))) if len(seconds) else None
+
+
+@functools.cache
+def code_hash() -> str:
+    """Hash of the tracker's source: comments, docstrings and layout do not change it."""
+    package = Path(__file__).resolve().parents[1]
+    digest = hashlib.sha256()
+    for path in sorted(package.rglob("*")):
+        part = path.relative_to(package)
+        if part.parts[0] in ("otb", "cli", "adapters", "adapters.py", "synthetic.py") or "__pycache__" in part.parts:
+            continue
+        if path.suffix == ".py":
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            for node in ast.walk(tree):
+                if (
+                    isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+                    and ast.get_docstring(node) is not None
+                ):
+                    del node.body[0]
+            digest.update(f"{part}\n{ast.dump(tree)}\n".encode())
+        elif path.is_file() and path.suffix in (".npy", ".npz", ".csv", ".json"):
+            digest.update(f"{part}\n".encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def identity_hash(identity: dict[str, Any]) -> str:
+    """Short hash of what :attr:`Entry.identity` says."""
+    return hashlib.sha256(json.dumps(identity, sort_keys=True, default=str).encode()).hexdigest()[:16]

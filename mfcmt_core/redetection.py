@@ -1,0 +1,38 @@
+"""Where to look for a lost target: the place in the whole frame that its colours fit best."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from .color import ColorModel
+from .geometry import Frame
+from .kernels.color import box_means, look_up
+from .workspace import scratch
+
+TARGET_SIDE = 8.0
+"""Pixels that the target's shorter side keeps in the shrunken frame."""
+MAX_SIDE = 160
+"""Pixels of the shrunken frame's longer side at most, so that the search costs less than one update."""
+
+
+def propose(color: ColorModel, frame: Frame, base_size: tuple[float, float], scale: float) -> tuple[float, float]:
+    """Centre of the box of the target's size whose mean likelihood exceeds its surroundings' most."""
+    width, height = frame.size
+    w, h = base_size[0] * scale, base_size[1] * scale
+    shrink = min(1.0, TARGET_SIDE / min(w, h), MAX_SIDE / max(width, height))
+    size = (max(4, round(width * shrink)), max(4, round(height * shrink)))
+    pixels = frame.sample((0, 0, width, height), (0, 0, width, height), size)
+    if color.grey and pixels.ndim == 3:
+        pixels = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY)  # type: ignore[assignment]
+    elif not color.grey and pixels.ndim == 2:
+        pixels = cv2.cvtColor(pixels, cv2.COLOR_GRAY2BGR)  # type: ignore[assignment]
+    fx, fy = width / size[0], height / size[1]
+    bw, bh = min(max(round(w / fx), 1), size[0]), min(max(round(h / fy), 1), size[1])
+    integral = scratch("proposal_integral", (size[1] + 1, size[0] + 1))
+    look_up(color.bins(pixels), color.lookup, integral)
+    rows, columns = np.arange(size[1] - bh + 1), np.arange(size[0] - bw + 1)
+    inner = np.empty((len(rows), len(columns)), np.float32)
+    box_means(integral, rows, columns, bh, bw, inner)
+    row, column = np.unravel_index(int(inner.argmax()), inner.shape)
+    return (float(column) + bw / 2) * fx, (float(row) + bh / 2) * fy

@@ -1,0 +1,83 @@
+"""Section III-C: is this frame reliable enough to learn from, and is the target still there?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .config import MFCMTConfig
+from .result import Flags, Scores, Status
+
+HISTORY = 10
+"""Frames that a peak is compared with (section III-C)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Peaks:
+    """Highest values of one frame: of the fused map, the mean of the template responses', the statistical one's."""
+
+    fused: float
+    template: float
+    statistical: float
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What the three tests say about one frame."""
+
+    flags: Flags
+    scores: Scores
+    reliable: bool
+    status: Status
+
+
+class Reliability:
+    """Compares each frame's peaks with their means over the last ten frames, reliable or not.
+
+    ``usual`` is the slow mean of the template peak over frames that were learned from. The ten-frame
+    means sink with a vanishing target and would call it reliable again; the slow mean remembers.
+    """
+
+    def __init__(self, config: MFCMTConfig) -> None:
+        self.config = config
+        self.history = np.zeros((HISTORY, 3), np.float64)
+        self.seen = 0
+        self.usual = 0.0
+        self.learned = 0
+        self.unreliable_run = 0
+        self.lost = False
+
+    def judge(self, peaks: Peaks) -> Verdict:
+        """The verdict on a frame, whose peaks join the history."""
+        c = self.config
+        values = np.array([peaks.fused, peaks.template, peaks.statistical])
+        known = self.history[: min(self.seen, HISTORY)]
+        means = known.mean(0) if len(known) else values
+        # a flat history (mean 0) tests nothing
+        ratios = [float(v / m) if m > 0 else 1.0 for v, m in zip(values, means, strict=True)]
+        self.history[self.seen % HISTORY] = values
+        self.seen += 1
+        scores = Scores(*ratios)
+        flags = Flags(
+            scores.fused > c.fused_threshold,
+            scores.template > c.template_threshold and not self._faint(peaks, c.usual_threshold),
+            scores.statistical > c.statistical_threshold,
+        )
+        reliable = flags.fused and flags.template and flags.statistical
+        self.unreliable_run = 0 if reliable else self.unreliable_run + 1
+        if self.lost:
+            self.lost = not (reliable and not self._faint(peaks, c.found_threshold))
+        elif c.lost_after and self.unreliable_run >= c.lost_after:
+            self.lost = True
+        status: Status = "lost" if self.lost else "tracking" if reliable else "uncertain"
+        return Verdict(flags, scores, reliable and not self.lost, status)
+
+    def learned_from(self, peaks: Peaks) -> None:
+        """The models learned from a frame with these peaks."""
+        self.learned += 1
+        self.usual += (peaks.template - self.usual) / min(self.learned, self.config.usual_frames)
+
+    def _faint(self, peaks: Peaks, threshold: float) -> bool:
+        """Whether the template peak is below that part of what is usual."""
+        return self.learned >= HISTORY and peaks.template < threshold * self.usual

@@ -1,0 +1,160 @@
+"""A tracker to bytes and back: MessagePack around raw little-endian arrays, never pickle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+import msgpack
+import numpy as np
+import numpy.typing as npt
+
+from .config import MFCMTConfig
+from .errors import BadConfig, BadSnapshot
+
+if TYPE_CHECKING:
+    from .tracker import Target
+
+FORMAT = "mfcmt-tracker"
+VERSION = 1
+MAX_BYTES = 16 << 20
+"""A larger one is refused unread; the default preset's takes well below one megabyte."""
+MAX_SIDE = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """What a snapshot holds beside the configuration, checked except for the arrays."""
+
+    base_size: tuple[float, float]
+    grey: bool
+    center: tuple[float, float]
+    scale: float
+    reliability: dict[str, Any]
+    arrays: dict[str, Any]
+
+
+def dump(config: MFCMTConfig, target: Target, frame_size: tuple[int, int]) -> bytes:
+    """Everything that decides later results."""
+    r = target.reliability
+    document = {
+        "format": FORMAT,
+        "version": VERSION,
+        "config": config.to_dict(),
+        "frame_size": list(frame_size),
+        "base_size": list(target.base_size),
+        "grey": target.grey,
+        "center": list(target.center),
+        "scale": target.scale,
+        "reliability": {
+            "seen": r.seen,
+            "usual": r.usual,
+            "learned": r.learned,
+            "unreliable_run": r.unreliable_run,
+            "lost": r.lost,
+        },
+        "arrays": {name: _pack(array) for name, array in _arrays(target).items()},
+    }
+    data: bytes = msgpack.packb(document)
+    return data
+
+
+def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
+    """Check a snapshot as far as that is possible without building models. Raises BadSnapshot."""
+    if len(data) > MAX_BYTES:
+        raise BadSnapshot(f"{len(data)} bytes are more than {MAX_BYTES}")
+    try:
+        document = msgpack.unpackb(data)
+    except Exception as error:  # msgpack raises many kinds for bytes that are not its own
+        raise BadSnapshot("not MessagePack") from error
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise BadSnapshot("not a tracker's snapshot")
+    if document.get("version") != VERSION:
+        raise BadSnapshot(f"version {document.get('version')!r} is not {VERSION}")
+    try:
+        config = MFCMTConfig.from_dict(document["config"])
+        width, height = (_integer(v, 1, MAX_SIDE) for v in document["frame_size"])
+        w, h = (_number(v, 1e-3, 8 * MAX_SIDE) for v in document["base_size"])
+        x, y = (_number(v, 0, MAX_SIDE) for v in document["center"])
+        r = document["reliability"]
+        reliability = {
+            "seen": _integer(r["seen"], 0, 1 << 62),
+            "usual": _number(r["usual"], -1e6, 1e6),
+            "learned": _integer(r["learned"], 0, 1 << 62),
+            "unreliable_run": _integer(r["unreliable_run"], 0, 1 << 62),
+            "lost": _boolean(r["lost"]),
+        }
+        scale = _number(document["scale"], 1e-6, 1e6)
+        state = State((w, h), _boolean(document["grey"]), (x, y), scale, reliability, dict(document["arrays"]))
+    except (KeyError, TypeError, ValueError, BadConfig) as error:
+        raise BadSnapshot(f"a field is missing or out of its range: {error}") from error
+    return config, state, (width, height)
+
+
+def restore(target: Target, state: State) -> None:
+    """Fill a target built for ``state``'s sizes. Raises BadSnapshot where an array does not fit it."""
+    expected = _arrays(target)
+    if set(expected) != set(state.arrays):
+        raise BadSnapshot(f"arrays {sorted(state.arrays)} are not {sorted(expected)}")
+    for name, array in expected.items():
+        _unpack(name, state.arrays[name], array)
+    target.center, target.scale = state.center, state.scale
+    for name, value in state.reliability.items():
+        setattr(target.reliability, name, value)
+    if target.color:
+        target.color.refresh()
+
+
+def _arrays(target: Target) -> dict[str, npt.NDArray[Any]]:
+    """The live arrays of every model by name; what follows from others is left out."""
+    arrays: dict[str, npt.NDArray[Any]] = {"history": target.reliability.history}
+    if t := target.template:
+        arrays["filters"] = t.filters
+        if t.average == "spectra":
+            arrays |= {"numerator": t.numerator, "denominator": t.denominator}
+    if c := target.color:
+        arrays |= {"foreground": c.foreground, "background": c.background}
+    if s := target.sizes:
+        arrays |= {"scale_numerator": s.numerator, "scale_denominator": s.denominator}
+    return arrays
+
+
+def _pack(array: npt.NDArray[Any]) -> dict[str, Any]:
+    little = array.astype(array.dtype.newbyteorder("<"), copy=False)
+    return {"dtype": little.dtype.str, "shape": list(array.shape), "data": little.tobytes()}
+
+
+def _unpack(name: str, packed: Any, into: npt.NDArray[Any]) -> None:
+    dtype = into.dtype.newbyteorder("<")
+    fits = (
+        isinstance(packed, dict)
+        and packed.get("dtype") == dtype.str
+        and packed.get("shape") == list(into.shape)
+        and isinstance(packed.get("data"), bytes)
+        and len(packed["data"]) == into.nbytes
+    )
+    if not fits:
+        raise BadSnapshot(f"array {name!r} is not {dtype.str} of shape {into.shape}")
+    values = np.frombuffer(packed["data"], dtype).reshape(into.shape)
+    if not np.isfinite(values).all():
+        raise BadSnapshot(f"array {name!r} has values that are not finite")
+    into[...] = values
+
+
+def _number(value: Any, low: float, high: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value) or not low <= value <= high:
+        raise ValueError(f"{value!r} is not a number in [{low}, {high}]")
+    return float(value)
+
+
+def _integer(value: Any, low: int, high: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise ValueError(f"{value!r} is not an integer in [{low}, {high}]")
+    return value
+
+
+def _boolean(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise ValueError(f"{value!r} is not a boolean")
+    return value

@@ -1,0 +1,247 @@
+"""Rendered sequences whose truth is known exactly: for tests, the demo, the benchmark.
+
+Everything is painted by code, so nobody has rights in it, and everything follows from the seed.
+
+>>> from mfcmt_core import synthetic
+>>> sequence = synthetic.clip("sample")
+>>> sequence.frames[0].shape, sequence.boxes.shape
+((480, 640, 3), (300, 4))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Sequence as SequenceABC
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, overload
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from . import paint
+
+Image = npt.NDArray[np.uint8]
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is to be seen: a target that goes along a closed path over a background, and what befalls it.
+
+    ``size`` is the frame's (width, height) and ``target`` the target's first, px. ``speed`` bounds the motion
+    a frame in sizes of the target (the path shrinks to fit), ``zoom`` is the largest scale (1 / ``zoom`` the
+    smallest), ``hide`` the width of a post that the target passes behind (in target widths; 0: no post),
+    ``light`` how far the brightness swings (0..1), ``rivals`` how many lookalikes in other colours there
+    are, ``pan`` how far the camera turns (in frame widths) and ``grain`` the sensor noise (standard
+    deviation, grey levels). With ``leaves`` the target goes out of the frame and comes back.
+    """
+
+    size: tuple[int, int] = (320, 240)
+    target: tuple[float, float] = (56.0, 44.0)
+    length: int = 120
+    speed: float = 0.07
+    zoom: float = 1.0
+    hide: float = 0.0
+    light: float = 0.0
+    rivals: int = 0
+    pan: float = 0.0
+    leaves: bool = False
+    grey: bool = False
+    grain: float = 3.0
+    balloons: bool = False
+
+
+SCENES = {
+    "sample": Scene((640, 480), (84.0, 112.0), 300, zoom=1.3, hide=0.45, light=0.12, rivals=3, pan=0.35, balloons=True),
+    "motion": Scene(),
+    "scale": Scene(length=160, zoom=1.5),
+    "occlusion": Scene(length=160, hide=0.6),
+    "illumination": Scene(light=0.5),
+    "leaves": Scene(length=160, leaves=True),
+    "grey": Scene(grey=True),
+    "small": Scene(target=(8.0, 8.0), speed=0.12),
+    "large": Scene((1920, 1080), (1000.0, 640.0), 30, speed=0.03),
+    "distractors": Scene(rivals=2),
+}
+"""The scenes that :func:`clip` knows by name."""
+
+
+class Frames(SequenceABC[Image]):
+    """The frames of a sequence, painted when they are asked for, in any order."""
+
+    def __init__(self, length: int, draw: Callable[[int], Image]) -> None:
+        self._indices = range(length)
+        self._draw = draw
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    @overload
+    def __getitem__(self, index: int) -> Image: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Image]: ...
+    def __getitem__(self, index: int | slice) -> Image | list[Image]:
+        chosen = self._indices[index]
+        return self._draw(chosen) if isinstance(chosen, int) else [self._draw(i) for i in chosen]
+
+
+@dataclass(frozen=True, eq=False)
+class Sequence:
+    """Frames with their truth.
+
+    ``frames``: ``uint8``, (H, W, 3) BGR or (H, W). ``boxes``: (N, 4) ``float64`` [x, y, w, h], 0-based and
+    sub-pixel, also where the target is hidden or outside. ``shown``: (N,) the share of the box that lies in
+    the frame and is not hidden, 0..1.
+    """
+
+    name: str
+    frames: Frames
+    boxes: Array
+    shown: Array
+
+    @property
+    def visible(self) -> npt.NDArray[np.bool_]:
+        """Is at least half of the target to be seen? (N,)"""
+        return self.shown >= 0.5
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def write(self, folder: str | Path, suffix: str = ".jpg") -> None:
+        """Store as OTB does: ``img/0001.jpg`` … and ``groundtruth_rect.txt``, 1-based."""
+        images = Path(folder) / "img"
+        images.mkdir(parents=True, exist_ok=True)
+        for i, frame in enumerate(self.frames, 1):
+            ok, data = cv2.imencode(suffix, frame)
+            assert ok
+            (images / f"{i:04d}{suffix}").write_bytes(data.tobytes())
+        np.savetxt(
+            Path(folder) / "groundtruth_rect.txt",
+            self.boxes + np.array([1, 1, 0, 0]),
+            fmt="%.3f",
+            delimiter=",",
+        )
+
+
+def clip(name: str = "sample", *, seed: int = 0, **changes: Any) -> Sequence:
+    """A named scene of :data:`SCENES`; ``changes`` are fields of :class:`Scene`, e.g. ``length=30``."""
+    if name not in SCENES:
+        raise ValueError(f"no scene {name!r}; there are {', '.join(SCENES)}")
+    return render(replace(SCENES[name], **changes), seed=seed, name=name)
+
+
+def render(scene: Scene, *, seed: int = 0, name: str = "scene") -> Sequence:
+    """The sequence of a scene. Raises ValueError for sizes or a length that leave nothing to see."""
+    (width, height), (tw, th) = scene.size, scene.target
+    if scene.length < 1 or min(width, height) < 16 or not 4 <= min(tw, th) <= max(tw, th) < max(width, height):
+        raise ValueError(f"cannot render a target of {tw}×{th} in {scene.length} frames of {width}×{height}")
+    boxes = _boxes(scene)
+    rng = np.random.default_rng(seed)
+    margin = int(np.ceil(scene.pan * width))
+    backdrop = (paint.landscape if scene.balloons else paint.ground)(rng, width + margin, height)
+    swing = np.sin(_phase(scene))
+    light, camera = 1 + scene.light * swing, 0.5 * margin * (1 + swing)
+    target = _target(scene, rng)
+    rivals = [(_rival(scene, rng, k), _rival_path(scene, boxes, k)) for k in range(scene.rivals)]
+    post, post_boxes = _post(scene, rng, boxes, camera)
+    grain = scene.grain * rng.standard_normal((height + 61, width + 67, 3), np.float32)
+
+    def draw(i: int) -> Image:
+        frame = backdrop.copy()
+        if margin:
+            centre = ((width - 1) / 2 + camera[i], (height - 1) / 2)
+            frame = paint.f32(cv2.getRectSubPix(backdrop, (width, height), centre))
+        for picture, path in rivals:
+            paint.blend(frame, picture, path[i])
+        paint.blend(frame, target(i), boxes[i])
+        if post is not None:
+            paint.blend(frame, post, post_boxes[i])
+        frame = paint.f32(frame * np.float32(light[i]))
+        top, left = np.random.default_rng((seed, i)).integers((61, 67))
+        image = cv2.add(frame, grain[top : top + height, left : left + width], dtype=cv2.CV_8U)
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if scene.grey else image, np.uint8)
+
+    return Sequence(name, Frames(scene.length, draw), boxes, _shown(scene, boxes, post_boxes))
+
+
+def _phase(scene: Scene) -> Array:
+    """0..2π over the sequence: everything ends where it began, so that a clip can be shown in a loop."""
+    return 2 * np.pi * np.arange(scene.length) / scene.length
+
+
+def _boxes(scene: Scene) -> Array:
+    """The target's path: a lying eight about the middle of the frame, or out to the right and back."""
+    (width, height), (tw, th), phase = scene.size, scene.target, _phase(scene)
+    scale = scene.zoom ** np.sin(phase)
+    step = scene.speed * np.sqrt(tw * th) * scene.length / (2 * np.pi)
+    room_x, room_y = max(0.0, width - 1.1 * scene.zoom * tw) / 2, max(0.0, height - 1.1 * scene.zoom * th) / 2
+    x = width / 2 + min(room_x, step) * np.sin(phase)
+    y = height / 2 + min(0.8 * room_y, step / 2) * np.sin(2 * phase)
+    if scene.leaves:
+        x = width / 2 + (width / 2 + tw) * (1 - np.cos(phase)) / 2
+    return np.stack([x - tw * scale / 2, y - th * scale / 2, tw * scale, th * scale], axis=1)
+
+
+def _target(scene: Scene, rng: np.random.Generator) -> Callable[[int], paint.Picture]:
+    """The target's picture for a frame: a plate, or a balloon that turns."""
+    if scene.balloons:
+        turn, height = 0.5 * np.sin(_phase(scene)), max(96, round(1.4 * scene.target[1]))
+        return lambda i: paint.balloon(0, turn[i], height)
+    picture = _plate(scene, rng)
+    return lambda _: picture
+
+
+def _plate(scene: Scene, rng: np.random.Generator) -> paint.Picture:
+    width, height = (2 * max(24, round(scene.zoom * side / 2)) for side in scene.target)
+    return paint.plate(rng, width, height)
+
+
+def _rival(scene: Scene, rng: np.random.Generator, k: int) -> paint.Picture:
+    """A lookalike: the same thing in other colours."""
+    if scene.balloons:
+        return paint.balloon(1 + k, 0.4 * k)
+    order = ((1, 2, 0, 3), (2, 0, 1, 3), (0, 2, 1, 3))[k % 3]
+    return np.ascontiguousarray(_plate(scene, rng)[..., order])
+
+
+def _rival_path(scene: Scene, boxes: Array, k: int) -> Array:
+    """The target's own path at another time; balloons hang farther away and hardly move."""
+    if not scene.balloons:
+        return np.roll(boxes, -round((k + 1) * scene.length / (scene.rivals + 1)), axis=0)
+    drift = np.sin(_phase(scene) + 2 * k)
+    w, h = np.array(scene.target) * (0.5, 0.4, 0.28)[k % 3]
+    x = scene.size[0] * ((0.14, 0.8, 0.55)[k % 3] + (0.06, 0.05, 0.03)[k % 3] * drift) - w / 2
+    y = scene.size[1] * ((0.2, 0.26, 0.12)[k % 3] + 0.02 * drift[::-1]) - h / 2
+    return np.stack([x, y, np.full_like(x, w), np.full_like(x, h)], axis=1)
+
+
+def _post(scene: Scene, rng: np.random.Generator, boxes: Array, camera: Array) -> tuple[paint.Picture | None, Array]:
+    """What the target passes behind, left of the middle: a tower in the valley, else a post."""
+    (width, height), w = scene.size, scene.hide * scene.target[0]
+    left = boxes[:, 0].min() + boxes[0, 2] / 2
+    middle = min(left + 0.3 * (width / 2 - left), boxes[0, 0] - w / 2 - 2)
+    top = 0.3 * height if scene.balloons else -1.0
+    box = np.array([middle - w / 2, top, w, height + 1 - top])
+    path = box - 1.15 * camera[:, None] * (1, 0, 0, 0)
+    if not scene.hide:
+        return None, path
+    rows = round(box[3] * 64 / w)
+    if scene.balloons:
+        return paint.tower(rng, 64, rows), path
+    return paint.sprite(0.6 * paint.ground(rng, 64, rows), np.ones((rows, 64))), path
+
+
+def _shown(scene: Scene, boxes: Array, posts: Array) -> Array:
+    """The share of each box that lies inside the frame and beside the post."""
+
+    def clipped(low: Array, high: Array, a: npt.ArrayLike, b: npt.ArrayLike) -> Array:
+        return np.asarray(np.maximum(np.minimum(high, b) - np.maximum(low, a), 0.0), np.float64)
+
+    near, far = boxes[:, :2], boxes[:, :2] + boxes[:, 2:]
+    inside = clipped(near, far, 0, scene.size).prod(axis=1)
+    hidden = clipped(np.maximum(near, 0), np.minimum(far, scene.size), posts[:, :2], posts[:, :2] + posts[:, 2:]).prod(
+        axis=1
+    )
+    return np.asarray((inside - hidden) / boxes[:, 2:].prod(axis=1), np.float64)

@@ -1,0 +1,72 @@
+"""The template models: correlation filters by ridge regression (equations 1–3)."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+import numpy.typing as npt
+from scipy import fft
+
+from .config import MFCMTConfig
+from .features import FeatureStack
+from .geometry import Image, SearchWindow
+from .kernels.template import center_response, energy, learn_filters, learn_spectra, respond_filters
+from .workspace import scratch
+
+Spectra = npt.NDArray[np.complex64]
+
+
+class TemplateModel:
+    """One filter for each cue, or a single one for all of them together (``config.joint_filter``).
+
+    Spectra are unnormalised half spectra (channels, n, n // 2 + 1) complex64 of the n × n cells; λ is
+    scaled by n², which makes it the λ of a regression with normalised transforms. Equation 3 needs the
+    conjugate of the filter, which the paper's print leaves out.
+    """
+
+    def __init__(self, config: MFCMTConfig, window: SearchWindow, grey: bool) -> None:
+        self.features = FeatureStack(config, grey)
+        self.average = config.average
+        self.rate = np.float32(config.template_learning_rate)
+        n = window.cells
+        self.regularization = np.float32(config.regularization * n * n)
+        blocks = list(self.features.blocks.values())
+        if config.joint_filter:
+            blocks = [slice(0, self.features.channels)]
+        self.names = ("template",) if config.joint_filter else tuple(self.features.blocks)
+        self.blocks = np.array([(b.start, b.stop) for b in blocks], np.int64)
+        sigma = config.output_sigma_factor * sqrt(window.target[0] * window.target[1])
+        distance = np.fft.fftfreq(n) * n  # zero displacement at index 0
+        bell = np.exp(-0.5 * (distance / sigma) ** 2)
+        self.label_f = fft.rfft2(np.outer(bell, bell).astype(np.float32))
+        shape = (self.features.channels, n, n // 2 + 1)
+        self.filters = np.zeros(shape, np.complex64)
+        if self.average == "spectra":
+            self.numerator = np.zeros(shape, np.complex64)
+            self.denominator = np.zeros((len(blocks), *shape[1:]), np.float32)
+
+    def spectra(self, patch: Image) -> Spectra:
+        """Half spectra of the windowed features of ``patch``, (channels, n, n // 2 + 1) complex64."""
+        return fft.rfft2(self.features.extract(patch))  # type: ignore[no-any-return]
+
+    def respond(self, spectra: Spectra, out: npt.NDArray[np.float32]) -> float:
+        """Responses within reach into ``out`` (models, 2·ry + 1, 2·rx + 1); the mean of their peaks."""
+        n = self.features.cells
+        response_f = scratch("response_f", (len(self.blocks), n, n // 2 + 1), np.complex64)
+        respond_filters(self.filters, spectra, self.blocks, response_f)
+        responses = fft.irfft2(response_f, s=(n, n))
+        peaks = [center_response(r, o) for r, o in zip(responses, out, strict=True)]
+        return float(sum(peaks) / len(peaks))
+
+    def learn(self, spectra: Spectra, first: bool = False) -> None:
+        """Learn a patch centred on the target at the learning rate (equation 11), or at 1 the first time."""
+        energies = scratch("energies", (len(self.blocks), *spectra.shape[1:]))
+        for block, out in zip(self.blocks, energies, strict=True):
+            energy(spectra, block, out)
+        rate = np.float32(1) if first else self.rate
+        common = (spectra, self.label_f, self.blocks, self.regularization, rate, energies)
+        if self.average == "spectra":
+            learn_spectra(*common, self.numerator, self.denominator, self.filters)
+        else:
+            learn_filters(*common, self.filters)
