@@ -1,1 +1,1 @@
-"""Subcommands of ``mfcmt`` that need the service."""
+"""The service's subcommands of ``mfcmt``."""
