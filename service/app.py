@@ -107,9 +107,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     if not settings.signing_keys:
         log.warning("no MFCMT_SIGNING_KEYS: snapshots are good until this process ends")
     if not settings.api_keys and not settings.on_loopback:
-        log.warning(
-            "listening beyond loopback without keys: everyone shares all sessions", host=settings.host
-        )
+        log.warning("listening beyond loopback without keys: everyone shares all sessions", host=settings.host)
     await service.lanes.start()
     keepers = [
         asyncio.create_task(work)

@@ -28,20 +28,14 @@ CATALOGUE: dict[str, Kind] = {
     "not-acceptable": Kind(406, "None of the accepted media types can be made", "application/json is made"),
     "attached-elsewhere": Kind(409, "A stream is attached to the session", "a stream is attached"),
     "stale-frame": Kind(409, "The frame's number is not above the last", "seq 4 is not above 9"),
-    "full-frame-needed": Kind(
-        409, "The newest frame does not show all that is needed", "send the whole frame"
-    ),
+    "full-frame-needed": Kind(409, "The newest frame does not show all that is needed", "send the whole frame"),
     "session-gone": Kind(410, "The session has ended", "the session ended: idle"),
     "frame-too-large": Kind(413, "The frame is above a limit", "9000000 bytes; at most 8388608"),
     "body-too-large": Kind(413, "The body is above the limit", "at most 65536 bytes"),
     "unsupported-image": Kind(415, "The image is not JPEG, PNG or WebP", "not a JPEG, PNG or WebP image"),
-    "unsupported-media-type": Kind(
-        415, "The body's media type is not known here", "application/json is read"
-    ),
+    "unsupported-media-type": Kind(415, "The body's media type is not known here", "application/json is read"),
     "frame-undecodable": Kind(422, "The image cannot be decoded", "the jpeg image is damaged"),
-    "frame-size-changed": Kind(
-        422, "The frame is not of the session's size", "640x480 expected, 480x640 sent"
-    ),
+    "frame-size-changed": Kind(422, "The frame is not of the session's size", "640x480 expected, 480x640 sent"),
     "bad-box": Kind(422, "The box cannot be tracked", "less than a quarter of the box is in the frame"),
     "bad-region": Kind(422, "The region cannot be used", "the region does not cover what is needed"),
     "bad-snapshot": Kind(422, "The snapshot cannot be restored", "the signature does not match"),

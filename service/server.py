@@ -32,9 +32,15 @@ class FrameProtocol(WebSocketsSansIOProtocol):
 
     async def run_asgi(self) -> None:
         """Give the application a way to cut the connection."""
-        extensions: dict[str, Any] = self.scope["extensions"]  # type: ignore[assignment]
+        extensions: dict[str, Any] = self.scope["extensions"]
         extensions[ABORT_EXTENSION] = self.transport.abort
         await super().run_asgi()
+
+    async def send(self, message: Any) -> None:
+        """As ever; and a refused handshake is complete, so that uvicorn does not log it as a fault."""
+        await super().send(message)
+        if self.initial_response is not None and self.close_sent:
+            self.handshake_complete = True
 
     def keepalive_timeout(self) -> None:
         """No pong: close, and cut if the close frame finds no reader either."""

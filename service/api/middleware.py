@@ -50,9 +50,7 @@ class Surroundings:
         else:
             await self._http(scope, receive, send, headers, request_id)
 
-    async def _http(
-        self, scope: Scope, receive: Receive, send: Send, headers: Headers, request_id: str
-    ) -> None:
+    async def _http(self, scope: Scope, receive: Receive, send: Send, headers: Headers, request_id: str) -> None:
         began = time.monotonic()
         status = 0
 

@@ -27,10 +27,8 @@ MODELS = (
     shapes.Options,
     shapes.BoxBody,
 )
-NAMED = {"Box": shapes.Box, "Region": shapes.Region, "Seq": shapes.Seq, "Echo": shapes.Echo}
-DESCRIPTION = (
-    "Visual object tracking: a session starts with a frame and a box; every later frame says where it is."
-)
+NAMED: dict[str, Any] = {"Box": shapes.Box, "Region": shapes.Region, "Seq": shapes.Seq, "Echo": shapes.Echo}
+DESCRIPTION = "Visual object tracking: a session starts with a frame and a box; every later frame says where it is."
 
 
 def schemas() -> dict[str, Any]:

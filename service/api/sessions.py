@@ -22,9 +22,7 @@ KEY = re.compile(r"[\x21-\x7e]{1,255}")
 
 
 @router.post("/sessions", status_code=201, **contract.CREATE_SESSION)
-async def create_session(
-    request: Request, service: ServiceDep, caller: Caller, accepted: Accepted
-) -> Response:
+async def create_session(request: Request, service: ServiceDep, caller: Caller, accepted: Accepted) -> Response:
     """Make a session from its first frame and one or more boxes, or restore one from a snapshot."""
     settings = service.settings
     if bodies.media_type(request) == bodies.SNAPSHOT:
@@ -66,9 +64,7 @@ async def list_sessions(
 
 
 @router.get("/sessions/{session_id}", **contract.GET_SESSION)
-async def get_session(
-    request: Request, service: ServiceDep, session: SessionDep, accepted: Accepted
-) -> Response:
+async def get_session(request: Request, service: ServiceDep, session: SessionDep, accepted: Accepted) -> Response:
     """A session as it is now."""
     return answer(accepted, 200, service.describe(session, str(request.base_url)))
 

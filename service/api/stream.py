@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, get_args
+from typing import Any, cast
 from urllib.parse import parse_qs
 
 import structlog
@@ -45,7 +45,7 @@ class StreamEndpoint:
         await receive()  # websocket.connect
         codec, selected = _codec(scope["subprotocols"], self._service.settings.max_body_bytes)
         try:
-            session, mode, takeover = self._admit(scope, headers)
+            session, mode = self._admit(scope, headers)
         except ProblemError as problem:
             await self._refuse(problem, codec, selected, scope, headers, receive, send)
             return
@@ -61,39 +61,38 @@ class StreamEndpoint:
             send,
             scope["extensions"].get(ABORT_EXTENSION, lambda: None),
         )
-        if takeover and session.attachment is not None:
+        if session.attachment is not None:
             session.attachment.end(4409, "attached elsewhere")
         session.attachment = attachment
         structlog.contextvars.bind_contextvars(session=session.id)
         await send({"type": "websocket.accept", "subprotocol": selected})
         await session.settled()
         log.info("stream attached", mode=mode, subprotocol=codec.name, seq=session.seq)
-        await attachment.run(self._ready(session, mode, scope, headers))
+        await attachment.run(self._ready(session, mode, attachment.name, scope, headers))
         log.info("stream detached", seq=session.seq)
 
-    def _admit(self, scope: Scope, headers: Headers) -> tuple[Session, Mode, bool]:
-        """The session that may be attached to, now. Raises ProblemError."""
+    def _admit(self, scope: Scope, headers: Headers) -> tuple[Session, Mode]:
+        """The session that may be attached to, whatever is attached now. Raises ProblemError."""
         service = self._service
         service.gate.check_origin(headers)
         sid = scope["path_params"]["session_id"]
         owner = service.gate.redeem(scope["subprotocols"], sid) or service.gate.owner(headers)
         if service.book.draining:
-            raise ProblemError(
-                "draining", "the service is going away", retry_after_s=service.settings.drain_grace_s
-            )
+            raise ProblemError("draining", "the service is going away", retry_after_s=service.settings.drain_grace_s)
         query = parse_qs(scope["query_string"].decode("latin-1"))
         mode = query.get("mode", ["latest"])[-1]
-        if mode not in get_args(Mode):
+        if mode not in ("latest", "lossless"):
             raise ProblemError("bad-request", "mode is latest or lossless")
         takeover = query.get("takeover", ["false"])[-1]
         if takeover not in ("true", "false"):
             raise ProblemError("bad-request", "takeover is true or false")
         session = service.book.find(owner, sid)
-        if session.attachment is not None and takeover != "true":
+        standing = session.attachment
+        if standing is not None and takeover == "false" and query.get("resume") != [standing.name]:
             raise ProblemError("attached-elsewhere", "a stream is attached")
-        return session, mode, takeover == "true"
+        return session, cast(Mode, mode)
 
-    def _ready(self, session: Session, mode: Mode, scope: Scope, headers: Headers) -> dict[str, Any]:
+    def _ready(self, session: Session, mode: Mode, name: str, scope: Scope, headers: Headers) -> dict[str, Any]:
         settings = self._service.settings
         base = f"{scope['scheme']}://{headers.get('host', '')}"
         return {
@@ -102,6 +101,8 @@ class StreamEndpoint:
             "mode": mode,
             "credit": settings.credit_frames if mode == "lossless" else None,
             "region_lag": settings.region_lag_frames,
+            "next_seq": session.last_number + 1,
+            "attachment": name,
         }
 
     async def _refuse(

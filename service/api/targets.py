@@ -20,9 +20,7 @@ TargetId = Annotated[int, Path(ge=0, le=fields.MAX_SEQ, description="the target'
 
 
 @router.post("/sessions/{session_id}/targets", status_code=201, **contract.ADD_TARGET)
-async def add_target(
-    request: Request, service: ServiceDep, session: SessionDep, accepted: Accepted
-) -> Response:
+async def add_target(request: Request, service: ServiceDep, session: SessionDep, accepted: Accepted) -> Response:
     """Start another target on the newest frame."""
     box = await _box(request, service)
     return answer(accepted, 201, await _act(session, {"type": "add", "box": box}))

@@ -17,7 +17,7 @@ from ..sessions import wiring
 from ..sessions.session import Session
 from ..sessions.trajectory import Entry, unpacked
 from . import contract
-from .bodies import JSON, MSGPACK
+from .bodies import MSGPACK
 from .deps import Accepted, SessionDep
 
 router = APIRouter(tags=["trajectory"])
@@ -33,7 +33,7 @@ CONFIDENCE = {"tracking": "1", "uncertain": "0.5", "lost": "0"}
 async def get_trajectory(
     session: SessionDep,
     accepted: Accepted,
-    format: Annotated[Format, Query(description="`otb` needs `target`")] = "json",  # noqa: A002
+    format: Annotated[Format, Query(description="`otb` needs `target`")] = "json",
     after: Annotated[int, Query(ge=-1, le=fields.MAX_SEQ, description="frames above this number")] = -1,
     target: Annotated[int | None, Query(ge=0, le=fields.MAX_SEQ, description="one target alone")] = None,
 ) -> Response:
@@ -56,7 +56,7 @@ async def _parts(parts: Iterator[bytes]) -> AsyncIterator[bytes]:
 
 
 def _json(session: Session, packed: Packed, target: int | None) -> Iterator[bytes]:
-    yield f'{{"id":{to_json(session.id)},"frames":['.encode()
+    yield f'{{"id":{to_json(session.id)},"results":['.encode()
     entries, comma = iter(unpacked(packed)), ""
     while some := list(islice(entries, FRAMES_AT_ONCE)):
         yield (comma + ",".join(to_json(_frame(entry, target)) for entry in some)).encode()
@@ -66,7 +66,7 @@ def _json(session: Session, packed: Packed, target: int | None) -> Iterator[byte
 
 def _msgpack(session: Session, packed: Packed, target: int | None) -> Iterator[bytes]:
     packer = msgpack.Packer()
-    head = packer.pack_map_header(2) + packer.pack("id") + packer.pack(session.id) + packer.pack("frames")
+    head = packer.pack_map_header(2) + packer.pack("id") + packer.pack(session.id) + packer.pack("results")
     yield head + packer.pack_array_header(len(packed))
     entries = iter(unpacked(packed))
     while some := list(islice(entries, FRAMES_AT_ONCE)):

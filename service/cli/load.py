@@ -80,9 +80,7 @@ def run(args: argparse.Namespace) -> int:
         clip = clip.resized(size)
     try:
         if args.report:
-            report = measure(
-                clip, args.seconds, args.sequences, lambda step: print(f"... {step}", file=sys.stderr)
-            )
+            report = measure(clip, args.seconds, args.sequences, lambda step: print(f"... {step}", file=sys.stderr))
             print(json.dumps(report.as_dict()) if args.json else of_report(report, clip))
             return 0 if all(target.met for target in report.targets) else 1
         outcome = _load(args, clip)

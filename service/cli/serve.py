@@ -23,9 +23,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         field = Settings.model_fields[name]
         parser.add_argument(f"--{name.replace('_', '-')}", dest=name, help=field.description, metavar="VALUE")
     lines = [f"  {_variable(name)}{_default(field)}\n      {field.description}" for name, field in _fields()]
-    parser.epilog = (
-        "Settings, from the environment; an argument above goes before its variable.\n\n" + "\n".join(lines)
-    )
+    parser.epilog = "Settings, from the environment; an argument above goes before its variable.\n\n" + "\n".join(lines)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -30,9 +30,7 @@ class AsyncClient:
     ``url`` is the service's base URL, ``key`` an API key, ``timeout_s`` the limit of one call.
     """
 
-    def __init__(
-        self, url: str = "http://127.0.0.1:8000", *, key: str | None = None, timeout_s: float = 30.0
-    ) -> None:
+    def __init__(self, url: str = "http://127.0.0.1:8000", *, key: str | None = None, timeout_s: float = 30.0) -> None:
         headers = {} if key is None else {"Authorization": f"Bearer {key}"}
         self.address = Address(url.rstrip("/"), headers, timeout_s=timeout_s)
         self._http = httpx2.AsyncClient(base_url=self.address.url, headers=headers, timeout=timeout_s)
@@ -242,9 +240,7 @@ class AsyncSession:
         pays where bandwidth or decoding is dear. A broken connection is resumed for ``reconnect_for_s``
         seconds at most. See :class:`AsyncStream` for the rest.
         """
-        attachment = Attachment(
-            self._client.address, self.id, mode, protocol, takeover, ticket, reconnect_for_s
-        )
+        attachment = Attachment(self._client.address, self.id, mode, protocol, takeover, ticket, reconnect_for_s)
 
         async def missed(after: int) -> list[Result]:
             return await self.trajectory(after=after)

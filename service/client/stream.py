@@ -281,9 +281,7 @@ class AsyncStream(Generic[T]):
         self._end_if_done()
 
     def _refuse(self, problem: Problem) -> None:
-        source, _ = (
-            self._unanswered.pop(problem.seq, (None, None)) if problem.seq is not None else (None, None)
-        )
+        source, _ = self._unanswered.pop(problem.seq, (None, None)) if problem.seq is not None else (None, None)
         if problem.code == "bad-region" and self._encode is not None:
             self.region = problem.region
             if not self._latest and source is not None:

@@ -81,9 +81,7 @@ class Target:
             wire["status"],
             wire.get("reliable"),
             Flags(flags["fused"], flags["template"], flags["statistical"]) if flags else None,
-            Scores(scores["fused"], scores["template"], scores["statistical"], wire.get("psr"))
-            if scores
-            else None,
+            Scores(scores["fused"], scores["template"], scores["statistical"], wire.get("psr")) if scores else None,
             bool(wire.get("updated", False)),
             float(wire.get("scale", 1.0)),
             {name: _bytes(image) for name, image in maps.items()} if maps else None,

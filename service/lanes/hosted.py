@@ -60,9 +60,7 @@ class HostedSession:
             self._add(view, box)
         return self._state(decoded - clock, perf_counter() - decoded)
 
-    def track(
-        self, seq: int, data: bytes, region: list[int] | None, controls: list[dict[str, Any]]
-    ) -> dict[str, Any]:
+    def track(self, seq: int, data: bytes, region: list[int] | None, controls: list[dict[str, Any]]) -> dict[str, Any]:
         """Every target in the next frame; ``controls`` act on this very frame, each for itself."""
         clock = perf_counter()
         view = self._view(data, region)
@@ -162,9 +160,7 @@ class HostedSession:
             image, _ = decode(data, limits)
         except FrameError as bad:
             raise Refused(bad.code, bad.detail) from bad
-        return (
-            View(image, (0, 0), size) if region is None else View(image, (region[0], region[1]), self._size)
-        )
+        return View(image, (0, 0), size) if region is None else View(image, (region[0], region[1]), self._size)
 
     def _check_place(self, size: tuple[int, int], region: list[int] | None) -> None:
         if region is None:

@@ -93,9 +93,7 @@ class LanePool:
     def status(self) -> list[LaneStatus]:
         """Every lane."""
         return [
-            LaneStatus(
-                lane.number, lane.ready, len(lane.keys), rss_bytes(lane.pid), cpu_s(lane.pid), lane.versions
-            )
+            LaneStatus(lane.number, lane.ready, len(lane.keys), rss_bytes(lane.pid), cpu_s(lane.pid), lane.versions)
             for lane in self._lanes
         ]
 
@@ -138,9 +136,7 @@ class LanePool:
             for lane in self._lanes:
                 if lane.overdue_s() > self._deadline_s:
                     lane.kill(hung=True)
-                elif (
-                    lane.pid and not lane.ready and time.monotonic() - lane.started_at > self._start_timeout_s
-                ):
+                elif lane.pid and not lane.ready and time.monotonic() - lane.started_at > self._start_timeout_s:
                     lane.kill()
 
     def _kill_all(self) -> None:

@@ -4,6 +4,7 @@ Every lane is a fork of this state and starts in milliseconds. Importing this mo
 the fork server and the tests of lanes import it.
 """
 
+# ruff: noqa: E402
 from __future__ import annotations
 
 import gc

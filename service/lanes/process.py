@@ -162,7 +162,7 @@ class LaneProcess(asyncio.Protocol):
     def _dispatch(self) -> None:
         assert self._transport is not None
         while len(self._in_flight) < PIPELINE and (turn := self._queue.pop()) is not None:
-            key, call = turn
+            _, call = turn
             if call.answer.done():
                 continue
             if not self._in_flight:

@@ -102,9 +102,7 @@ def images_of(folder: Path) -> list[Path]:
         if place.is_dir():
             files = [file for file in place.iterdir() if file.suffix.lower() in IMAGES]
             if files:
-                return sorted(
-                    files, key=lambda f: [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", f.name)]
-                )
+                return sorted(files, key=lambda f: [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", f.name)])
     return []
 
 

@@ -101,9 +101,7 @@ def _targets(report: Report, session_mb: float, small: Saving) -> list[Target]:
         Target("CPU a frame, service over in-process", runs["saturated"].cpu_ms / cpu_ms, 1.35, "x"),
         Target("round trip p50 beyond the work, unloaded", runs["unloaded"].p50_ms - wall_ms, 0.6, "ms"),
         Target("throughput of two lanes over one", two / one, 1.7, "x", at_least=True),
-        Target(
-            "p95 at twice the sustainable rate, over the work", runs["overload"].p95_ms / wall_ms, 2.5, "x"
-        ),
+        Target("p95 at twice the sustainable rate, over the work", runs["overload"].p95_ms / wall_ms, 2.5, "x"),
         Target("p95 beside a flood, over alone", runs["beside"].p95_ms / runs["alone"].p95_ms, 2.0, "x"),
         Target("memory of a session in its lane", session_mb, 4.0, "MB"),
         Target("bytes of a region, 50 px at VGA", small.p50, 0.2, "x"),

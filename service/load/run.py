@@ -56,9 +56,7 @@ async def load(
     """
     async with AsyncExitStack() as stack:
         client = await stack.enter_async_context(AsyncClient(url, key=key))
-        sessions = [
-            await stack.enter_async_context(await client.create(clip.frame(0), clip.box)) for _ in paces
-        ]
+        sessions = [await stack.enter_async_context(await client.create(clip.frame(0), clip.box)) for _ in paces]
         before = server_usage(front) if front is not None else None
         tallies = await asyncio.gather(
             *(drive(client, session, clip, pace) for session, pace in zip(sessions, paces, strict=True))
@@ -69,9 +67,7 @@ async def load(
     return [_outcome([tally], before, after) for tally in tallies]
 
 
-def _outcome(
-    tallies: Sequence[Tally], before: dict[str, Usage] | None, after: dict[str, Usage] | None
-) -> Outcome:
+def _outcome(tallies: Sequence[Tally], before: dict[str, Usage] | None, after: dict[str, Usage] | None) -> Outcome:
     round_trips = [ms for tally in tallies for ms in tally.round_trips_ms]
     seconds = max(tally.seconds for tally in tallies)
     answered = len(round_trips)

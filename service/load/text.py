@@ -75,10 +75,7 @@ def _work(work: Work) -> str:
 def _saving(saving: Saving) -> str:
     (w, h), (width, height) = saving.target, saving.size
     what = f"{w:.0f}x{h:.0f} in {width}x{height}"
-    return (
-        f"  {saving.name:<18}{what:<24} "
-        f"{saving.p10:5.2f} {saving.p50:5.2f} {saving.p90:5.2f} {saving.mean:5.2f}"
-    )
+    return f"  {saving.name:<18}{what:<24} {saving.p10:5.2f} {saving.p50:5.2f} {saving.p90:5.2f} {saving.mean:5.2f}"
 
 
 def _target(target: Target) -> str:

@@ -45,22 +45,16 @@ class Metrics:
         self.frame_bytes = counter("mfcmt_frame_bytes_total", "Encoded bytes of frames received")
         self.frames_dropped = counter("mfcmt_frames_dropped_total", "Frames that were not tracked", "reason")
         self.problems = counter("mfcmt_problems_total", "Refusals told to clients", "code")
-        self.requests = counter(
-            "mfcmt_http_requests_total", "HTTP calls answered", "method", "path", "status"
-        )
+        self.requests = counter("mfcmt_http_requests_total", "HTTP calls answered", "method", "path", "status")
         self.streams = Gauge("mfcmt_ws_connections", "Attached streams", registry=self.registry)
         self.stream_closes = counter("mfcmt_ws_closes_total", "Streams closed by the service", "code")
         self.lane_restarts = counter("mfcmt_lane_restarts_total", "Lanes replaced", "cause")
-        self.queue_seconds = seconds(
-            "mfcmt_frame_queue_seconds", "From a frame's arrival to its lane, both ways"
-        )
+        self.queue_seconds = seconds("mfcmt_frame_queue_seconds", "From a frame's arrival to its lane, both ways")
         self.decode_seconds = seconds("mfcmt_frame_decode_seconds", "Decoding of a frame")
         self.track_seconds = seconds("mfcmt_frame_track_seconds", "Tracking of all targets in a frame")
         self.total_seconds = seconds("mfcmt_frame_total_seconds", "From a frame's arrival to its result")
         self.request_seconds = seconds("mfcmt_http_request_seconds", "HTTP calls, from head to last byte")
-        self.loop_lag_seconds = seconds(
-            "mfcmt_event_loop_lag_seconds", "How late a timer of the event loop fires"
-        )
+        self.loop_lag_seconds = seconds("mfcmt_event_loop_lag_seconds", "How late a timer of the event loop fires")
         self.snapshot_bytes = Histogram(
             "mfcmt_snapshot_bytes",
             "Size of snapshots handed out",
@@ -106,9 +100,7 @@ class Metrics:
 
 
 class _Service(Collector):
-    def __init__(
-        self, sessions: Callable[[], int], capacity: int, lanes: Callable[[], list[LaneStatus]]
-    ) -> None:
+    def __init__(self, sessions: Callable[[], int], capacity: int, lanes: Callable[[], list[LaneStatus]]) -> None:
         self._sessions, self._capacity, self._lanes = sessions, capacity, lanes
 
     def collect(self) -> Iterator[Metric]:

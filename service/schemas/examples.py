@@ -56,7 +56,7 @@ TARGET_ANSWER = {"target": STARTED, "region": REGION}
 TICKET = {"ticket": "c2V2ZW50ZWVuLWJ5dGVzLW9mLXJhbmRvbQ", "expires_at": "2026-11-23T08:30:30.000Z"}
 TRAJECTORY = {
     "id": SESSION_ID,
-    "frames": [{name: RESULT[name] for name in ("seq", "ts", "size", "region", "targets")}],
+    "results": [{name: RESULT[name] for name in ("seq", "ts", "size", "region", "targets")}],
 }
 TRAJECTORY_TEXT = {
     "csv": "seq,ts,target,x,y,w,h,status,reliable,scale\n17,1712.5,0,201.4,213.2,34.7,82.6,tracking,true,1.02\n",
@@ -106,6 +106,8 @@ READY = {
     "mode": "lossless",
     "credit": 4,
     "region_lag": 1,
+    "next_seq": 1,
+    "attachment": "Zk3v0c8VYw1q",
 }
 TARGETS = {"type": "targets", "ref": "a1", "region": REGION, "targets": [STARTED]}
 DRAINING = {"type": "draining", "reconnect_in_s": 3.2}

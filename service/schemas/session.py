@@ -11,7 +11,7 @@ Size = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Box = Annotated[
     tuple[FiniteFloat, FiniteFloat, Size, Size],
     Field(
-        description="`[x, y, w, h]`: pixels of the whole decoded frame after EXIF orientation, 0-based, top-left corner",
+        description="`[x, y, w, h]`: pixels of the whole frame after EXIF orientation, 0-based, top-left corner",
         examples=[[198, 214, 34, 81]],
     ),
 ]
@@ -58,9 +58,7 @@ class Target(Model):
     id: Annotated[int, Field(ge=0, description="unique in the session; the first is 0")]
     box: Box
     status: Literal["tracking", "uncertain", "lost"]
-    reliable: Annotated[
-        bool | None, Field(description="all three flags; null on the frame that started the target")
-    ]
+    reliable: Annotated[bool | None, Field(description="all three flags; null on the frame that started the target")]
     flags: Flags | None
     scores: Scores | None
     psr: Annotated[FiniteFloat | None, Field(description="peak-to-sidelobe ratio of the fused map")]
@@ -68,9 +66,7 @@ class Target(Model):
     scale: Annotated[float, Field(gt=0, description="size relative to the box given")]
     maps: Annotated[
         dict[str, str] | None,
-        Field(
-            default=None, description="response maps as grey PNG, base64 in JSON, where `maps` was asked for"
-        ),
+        Field(default=None, description="response maps as grey PNG, base64 in JSON, where `maps` was asked for"),
     ]
 
 
@@ -166,7 +162,7 @@ class TicketAnswer(Model):
     expires_at: datetime
 
 
-class TrajectoryFrame(Model):
+class PastResult(Model):
     """One tracked frame of the past."""
 
     seq: Seq
@@ -180,7 +176,7 @@ class TrajectoryAnswer(Model):
     """Tracked frames by rising `seq`; the newest one as corrections left it."""
 
     id: str
-    frames: list[TrajectoryFrame]
+    results: list[PastResult]
 
 
 class Limits(Model):

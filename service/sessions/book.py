@@ -54,9 +54,7 @@ class SessionBook:
         self._settings, self._lanes, self._metrics, self._clock = settings, lanes, metrics, clock
         self._sessions: dict[str, Session] = {}
         self._tombstones: Memory[Tombstone] = Memory(settings.max_tombstones, settings.tombstone_s, clock)
-        self._creations: Memory[Creation] = Memory(
-            settings.max_idempotency_keys, settings.idempotency_s, clock
-        )
+        self._creations: Memory[Creation] = Memory(settings.max_idempotency_keys, settings.idempotency_s, clock)
         self._ordinal = 0
 
     def __len__(self) -> int:
@@ -103,9 +101,7 @@ class SessionBook:
         except BaseException as failed:
             # A refused creation may be tried again; whoever waits for this one gets the same answer.
             self._creations.pop(name)
-            future.set_exception(
-                failed if isinstance(failed, ProblemError) else ProblemError("internal", "failed")
-            )
+            future.set_exception(failed if isinstance(failed, ProblemError) else ProblemError("internal", "failed"))
             future.exception()
             raise
         future.set_result(session)
@@ -137,9 +133,7 @@ class SessionBook:
 
     def expires_at(self, session: Session) -> datetime:
         """When the session ends if nothing more comes."""
-        left = (
-            min(self._idle_deadline(session), session.created + self._settings.max_session_s) - self._clock()
-        )
+        left = min(self._idle_deadline(session), session.created + self._settings.max_session_s) - self._clock()
         return datetime.now(UTC) + timedelta(seconds=max(0.0, left))
 
     def drain(self, reconnect_in_s: Callable[[], float]) -> None:

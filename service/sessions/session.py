@@ -46,7 +46,9 @@ class Frame:
 
 
 class Attachment(Protocol):
-    """What a session knows of the stream that is attached to it."""
+    """What a session knows of the stream that is attached to it; ``name`` is known to its owner alone."""
+
+    name: str
 
     def tell(self, message: dict[str, Any]) -> None:
         """Send a message when there is room."""

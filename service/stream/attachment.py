@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import secrets
 import time
 from collections.abc import Awaitable, Callable
 from typing import Any
@@ -24,6 +25,7 @@ from .messages import Control, Echo, FrameMessage
 # After the last word the socket may be slow to empty; then it is cut.
 LINGER_S = 5.0
 MAX_UNSENT = 64
+NAME_BYTES = 9
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.stream")
 
@@ -45,6 +47,7 @@ class StreamAttachment:
         send: Callable[[Event], Awaitable[None]],
         abort: Callable[[], None],
     ) -> None:
+        self.name = secrets.token_urlsafe(NAME_BYTES)
         self._session, self._codec, self._flow = session, codec, flow
         self._settings, self._metrics = settings, metrics
         self._receive, self._asgi_send, self._abort = receive, send, abort
@@ -208,7 +211,7 @@ class StreamAttachment:
             commands = [control.command for control in job.controls]
             result, answers = await session.track(job.frame, controls=commands)
         except ProblemError as problem:
-            return self._refusals(problem, job.frame and job.frame.seq, job.controls)
+            return self._refusals(problem, job.frame.seq if job.frame else None, job.controls)
         result["dropped"] = self._flow.take_dropped()
         messages = []
         for control, refused in zip(job.controls, answers, strict=True):
@@ -228,18 +231,14 @@ class StreamAttachment:
     async def _refuse(self, problem: ProblemError, *, ref: Echo = None) -> None:
         await self._send(self._error(problem, ref=ref))
 
-    def _refusals(
-        self, problem: ProblemError, seq: int | None, controls: list[Control]
-    ) -> list[dict[str, Any]]:
+    def _refusals(self, problem: ProblemError, seq: int | None, controls: list[Control]) -> list[dict[str, Any]]:
         """One message for the frame, if there is one, and one for each control."""
         told = [self._error(problem, seq=seq)] if seq is not None or not controls else []
         return told + [self._error(problem, ref=control.ref) for control in controls]
 
     def _error(self, problem: ProblemError, *, seq: int | None = None, ref: Echo = None) -> dict[str, Any]:
         self._metrics.refused_message(problem.code, frame=seq is not None)
-        log.info(
-            "message refused", session=self._session.id, seq=seq, code=problem.code, detail=problem.detail
-        )
+        log.info("message refused", session=self._session.id, seq=seq, code=problem.code, detail=problem.detail)
         message: dict[str, Any] = {"type": "error", "problem": problem.body()}
         if seq is not None:
             message["seq"] = seq

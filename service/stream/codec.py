@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import MutableMapping
 from typing import Any, Protocol
 
 from ..problems import ProblemError
@@ -9,7 +10,7 @@ from ..schemas.packed import Unreadable, from_json, from_msgpack, to_json, to_ms
 from . import messages
 from .messages import CONTROLS, Control, FrameMessage, Meta
 
-Event = dict[str, Any]
+Event = MutableMapping[str, Any]
 
 
 class Codec(Protocol):
