@@ -26,27 +26,27 @@ async def post_frame(
     service: ServiceDep,
     session: SessionDep,
     accepted: Accepted,
-    seq: Annotated[str | None, Query(pattern="^[0-9]{1,16}$", description="the frame's number")] = None,
+    seq: Annotated[int | None, Query(ge=0, le=fields.MAX_SEQ, description="the frame's number")] = None,
     ts: Annotated[str | None, Query(max_length=64, description="echoed, never interpreted")] = None,
     region: Annotated[str | None, Query(max_length=64, description="`x,y,w,h` in whole pixels")] = None,
 ) -> Response:
     """Track all targets in the next frame. Frames of one session are answered one after the other."""
     arrived = time.monotonic()
-    upload = await bodies.read_upload(request, service.settings, raw=True)
-    told: dict[str, Any] = {"ts": ts}
-    if seq is not None:
-        told["seq"] = int(seq)
-    if region is not None:
-        told["region"] = [int(v) if v == int(v) else v for v in _finite(bodies.numbers("region", region))]
-    told.update(upload.fields)
-    meta = {name: told.pop(name, None) for name in ("seq", "ts", "region")}
-    bodies.nothing_more(told)
-    service.metrics.http_frame(len(upload.frame))
-    _check_free(session, service.settings.credit_frames)
-    number = session.number(fields.seq(meta["seq"]))
-    if sniff(upload.frame) is None:
-        raise ProblemError("unsupported-image", "not a JPEG, PNG or WebP image")
-    frame = Frame(upload.frame, number, fields.echo("ts", meta["ts"]), fields.region(meta["region"]), arrived)
+    number = seq
+    try:
+        upload = await bodies.read_upload(request, service.settings, raw=True)
+        service.metrics.http_frame(len(upload.frame))
+        told = _query(ts, region) | upload.fields
+        number = fields.seq(told.pop("seq", seq))
+        frame = Frame(upload.frame, 0, fields.echo("ts", told.pop("ts")), fields.region(told.pop("region")), arrived)
+        bodies.nothing_more(told)
+        _check_free(session, service.settings.credit_frames)
+        if sniff(frame.data) is None:
+            raise ProblemError("unsupported-image", "not a JPEG, PNG or WebP image")
+    except ProblemError:
+        session.number(number)  # a refused frame has its number too
+        raise
+    frame.seq = session.number(number)
     session.http_waiting += 1
     try:
         result, _ = await session.track(frame)
@@ -56,14 +56,16 @@ async def post_frame(
     return answer(accepted, 200, result)
 
 
+def _query(ts: str | None, region: str | None) -> dict[str, Any]:
+    if region is None:
+        return {"ts": ts, "region": None}
+    numbers = bodies.numbers("region", region)
+    # Whole numbers stand for pixels, whatever else there is gets its refusal with the fields of bodies.
+    return {"ts": ts, "region": [int(v) if v.is_integer() else v for v in numbers]}
+
+
 def _check_free(session: Session, most: int) -> None:
     if session.attachment is not None:
         raise ProblemError("attached-elsewhere", "a stream is attached")
     if session.http_waiting >= most:
         raise ProblemError("over-credit", f"at most {most} unanswered frames", retry_after_s=0.1)
-
-
-def _finite(values: list[float]) -> list[float]:
-    if not all(abs(v) < 1 << 30 for v in values):
-        raise ProblemError("bad-request", "region is x,y,w,h")
-    return values

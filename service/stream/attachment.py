@@ -153,6 +153,8 @@ class StreamAttachment:
         try:
             seq = session.number(seq)
             self._spend(now)
+            if message.problem is not None:
+                raise message.problem
             if len(message.data) > self._settings.max_frame_bytes:
                 told = f"{len(message.data)} bytes; at most {self._settings.max_frame_bytes}"
                 raise ProblemError("frame-too-large", told)

@@ -87,11 +87,7 @@ class MsgpackCodec:
             raise Unreadable("a message is a map")
         try:
             kind = messages.kind_of(message, ("frame", *CONTROLS))
-            if kind != "frame":
-                return messages.control(kind, message)
-            if type(message.get("frame")) is not bytes:
-                raise ProblemError("bad-request", "frame is the image's bytes")
-            return FrameMessage(message["frame"], messages.meta(message))
+            return messages.frame(message) if kind == "frame" else messages.control(kind, message)
         except ProblemError as problem:
             raise Refusal(problem, messages.echoed_ref(message)) from problem
 

@@ -22,10 +22,11 @@ class Meta:
 
 @dataclass(frozen=True, slots=True)
 class FrameMessage:
-    """An encoded image and what was said about it."""
+    """An encoded image and what was said about it; with ``problem`` it is refused, but was a frame."""
 
     data: bytes
     meta: Meta
+    problem: ProblemError | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,17 +49,16 @@ CONTROLS = ("add", "correct", "remove")
 
 
 def kind_of(message: dict[str, Any], known: tuple[str, ...]) -> str:
-    """The message's type, if it and all fields are known. Raises bad-request."""
+    """The message's type. Raises bad-request."""
     kind = message.get("type")
     if not isinstance(kind, str) or kind not in known:
         raise ProblemError("bad-request", f"type is one of {', '.join(known)}")
-    if unknown := message.keys() - _ALLOWED[kind]:
-        raise ProblemError("bad-request", f"{kind} has no field {sorted(map(str, unknown))[0][:40]!r}")
     return kind
 
 
 def meta(message: dict[str, Any]) -> Meta:
     """What is said about a frame. Raises bad-request, bad-region."""
+    _check_names("meta", message)
     return Meta(
         fields.seq(message.get("seq")),
         fields.echo("ts", message.get("ts")),
@@ -66,8 +66,23 @@ def meta(message: dict[str, Any]) -> Meta:
     )
 
 
+def frame(message: dict[str, Any]) -> FrameMessage:
+    """A frame and what is said about it, in one map."""
+    seq = None
+    try:
+        seq = fields.seq(message.get("seq"))
+        _check_names("frame", message)
+        data = message.get("frame")
+        if type(data) is not bytes:
+            raise ProblemError("bad-request", "frame is the image's bytes")
+        return FrameMessage(data, Meta(seq, fields.echo("ts", message.get("ts")), fields.region(message.get("region"))))
+    except ProblemError as problem:
+        return FrameMessage(b"", Meta(seq), problem)
+
+
 def control(kind: str, message: dict[str, Any]) -> Control:
     """A control. Raises bad-request, bad-box."""
+    _check_names(kind, message)
     command: dict[str, Any] = {"type": kind}
     if kind != "add":
         command["target"] = fields.target(message.get("target"))
@@ -85,3 +100,8 @@ def echoed_ref(message: dict[str, Any]) -> Echo:
         return fields.echo("ref", message.get("ref"))
     except ProblemError:
         return None
+
+
+def _check_names(kind: str, message: dict[str, Any]) -> None:
+    if unknown := message.keys() - _ALLOWED[kind]:
+        raise ProblemError("bad-request", f"{kind} has no field {sorted(map(str, unknown))[0][:40]!r}")
