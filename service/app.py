@@ -74,6 +74,7 @@ def create_app(
     app.add_middleware(Surroundings, service=service)
     errors.install(app)
     openapi.install(app, authenticated=bool(settings.api_keys))
+    app.state.documents = docs.Documents.of(app)
     return app
 
 

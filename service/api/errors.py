@@ -29,8 +29,7 @@ async def _problem(request: Request, problem: Exception) -> Response:
     assert isinstance(problem, ProblemError)
     if problem.code == "internal":
         problem.members["request_id"] = request.state.request_id
-    request.app.state.service.metrics.problems.labels(code=problem.code).inc()
-    log.info("call refused", code=problem.code, detail=problem.detail)
+    request.state.problem = problem
     return problem_response(problem)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import structlog
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.requests import Request
+from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ..problems import ProblemError
@@ -72,7 +72,7 @@ class Surroundings:
             else:
                 await self._app(scope, receive, answer)
         except ProblemError as refused:
-            self._service.metrics.problems.labels(code=refused.code).inc()
+            scope["state"]["problem"] = refused
             await problem_response(refused)(scope, receive, answer)
         finally:
             self._record(scope, status, time.monotonic() - began)
@@ -95,6 +95,10 @@ class Surroundings:
         line: dict[str, Any] = {"method": scope["method"], "path": path, "status": status}
         if session := scope.get("path_params", {}).get("session_id"):
             line["session"] = session[:64]
+        problem = scope["state"].get("problem")
+        if problem is not None:
+            metrics.problems.labels(code=problem.code).inc()
+            line |= {"code": problem.code, "detail": problem.detail}
         write = log.debug if path in QUIET else log.info
         write("call", **line, ms=round(took_s * 1e3, 3))
 
@@ -104,8 +108,6 @@ def _known(method: str) -> str:
 
 
 def _preflight(headers: Headers) -> Any:
-    from starlette.responses import Response
-
     return Response(
         status_code=204,
         headers={
@@ -123,9 +125,3 @@ def _with_id(send: Send, request_id: str) -> Send:
         await send(message)
 
     return answer
-
-
-def request_id_of(request: Request) -> str:
-    """The id that the answer will carry."""
-    told: str = request.state.request_id
-    return told
