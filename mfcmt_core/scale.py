@@ -14,6 +14,8 @@ from .kernels.hog import CHANNELS, SIGNED
 from .kernels.scale import learn_scales, respond_scales, sample_scales, scale_hog
 from .workspace import scratch
 
+Spectra = npt.NDArray[np.complex64]
+
 LANES = 8
 """Scales are padded to a multiple of this many SIMD lanes."""
 MIN_SIDE = 5.0
@@ -57,19 +59,14 @@ class ScaleModel:
         self.numerator = np.zeros((features, len(frequencies)), np.complex64)
         self.denominator = np.zeros(len(frequencies), np.float32)
 
-    def estimate(self, frame: Frame, within: Rect, center: tuple[float, float], scale: float) -> float:
-        """The factor by which the target's size changed since ``scale``."""
-        spectra = self._spectra(frame, within, center, scale)
+    def estimate(self, spectra: Spectra) -> float:
+        """The factor by which the target's size differs from the one that ``spectra`` were taken at."""
         response_f = np.empty(len(self.denominator), np.complex64)
         respond_scales(spectra, self.numerator, self.denominator, self.regularization, response_f)
-        response = np.fft.irfft(response_f, self.count)
-        best = int(response.argmax())
-        factor = float(self.factors[best])
-        return factor
+        return float(self.factors[np.fft.irfft(response_f, self.count).argmax()])
 
-    def learn(self, frame: Frame, within: Rect, center: tuple[float, float], scale: float, first: bool = False) -> None:
-        """Move the filter towards the target as it is at ``scale``."""
-        spectra = self._spectra(frame, within, center, scale)
+    def learn(self, spectra: Spectra, first: bool = False) -> None:
+        """Move the filter towards the target, whose present size ``spectra`` were taken at."""
         rate = np.float32(1) if first else self.rate
         learn_scales(spectra, self.label_f, rate, self.numerator, self.denominator)
 
@@ -80,10 +77,8 @@ class ScaleModel:
         highest = max(1.0, min(frame_size[0] / w, frame_size[1] / h))
         return min(max(scale, lowest), highest)
 
-    def _spectra(
-        self, frame: Frame, within: Rect, center: tuple[float, float], scale: float
-    ) -> npt.NDArray[np.complex64]:
-        """DFT over scales of every feature, (features, count // 2 + 1)."""
+    def spectra(self, frame: Frame, within: Rect, center: tuple[float, float], scale: float) -> Spectra:
+        """DFT over scales of every feature, (features, count // 2 + 1) complex64; scratch, until the next call."""
         w, h = self.base_size[0] * scale, self.base_size[1] * scale
         largest = float(self.factors[: self.count].max())
         gray, (cx, cy), (fx, fy) = _gray_cut(frame, within, center, (w, h), largest, (self.width, self.height))
