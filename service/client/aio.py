@@ -201,7 +201,7 @@ class AsyncSession:
         answer = await self._client.call("GET", f"{self._path}/trajectory", params=params)
         if format != "json":
             return answer.text
-        return [Result.of(result) for result in answer.json()["frames"]]
+        return [Result.of(result) for result in answer.json()["results"]]
 
     async def snapshot(self) -> bytes:
         """The session's whole state, for :meth:`AsyncClient.restore`."""
