@@ -86,7 +86,7 @@ class Frame:
         """``rect`` resized to ``out_size`` (w, h); beyond ``within`` its border pixels repeat.
 
         A large rectangle is thinned out first, so the cost follows the patch and not the rectangle; what
-        remains is resized by less than three, where bilinear interpolation averages enough.
+        remains is resized by less than four, where bilinear interpolation averages enough.
         """
         x, y, w, h = rect
         step_x, step_y = max(w // (2 * out_size[0]), 1), max(h // (2 * out_size[1]), 1)
@@ -106,12 +106,12 @@ class Frame:
 def _inside(start: int, length: int, step: int, low: int, extent: int) -> tuple[int, int, int, int]:
     """Of the samples start, start + step, … of ``length``: slice of those in the extent, counts outside."""
     count = length // step
-    before = min(max(-((start - low) // step), 0), count - 1) if start < low else 0
+    before = min(max(-((start - low) // step), 0), count)
     last_inside = (low + extent - 1 - start) // step
-    after = min(max(count - 1 - last_inside, 0), count - 1)
-    if before + after >= count:  # wholly outside: the nearest pixel repeats
+    after = min(max(count - 1 - last_inside, 0), count)
+    if before + after >= count:  # none inside: the nearest pixel repeats
         pixel = low if start < low else low + extent - 1
-        return pixel, pixel + 1, before, count - 1 - before
+        return pixel, pixel + 1, 0, count - 1
     first = start + before * step
     return first, start + (count - after - 1) * step + 1, before, after
 
