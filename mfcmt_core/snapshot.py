@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from .config import MFCMTConfig
 from .errors import BadConfig, BadSnapshot
+from .geometry import MAX_FRAME_SIDE, MIN_BOX_SIDE
 from .reliability import HISTORY
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ FORMAT = "mfcmt-tracker"
 VERSION = 1
 MAX_BYTES = 16 << 20
 """A larger one is refused unread; the default preset's takes well below one megabyte."""
-MAX_SIDE = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +76,9 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
         raise BadSnapshot(f"version {document.get('version')!r} is not {VERSION}")
     try:
         config = MFCMTConfig.from_dict(document["config"])
-        width, height = (_integer(v, 1, MAX_SIDE) for v in document["frame_size"])
-        w, h = (_number(v, 1e-3, 8 * MAX_SIDE) for v in document["base_size"])
-        x, y = (_number(v, 0, MAX_SIDE) for v in document["center"])
+        width, height = (_integer(v, 1, MAX_FRAME_SIDE) for v in document["frame_size"])
+        w, h = (_number(v, MIN_BOX_SIDE, 4 * MAX_FRAME_SIDE) for v in document["base_size"])
+        x, y = (_number(v, 0, side) for v, side in zip(document["center"], (width, height), strict=True))
         r = document["reliability"]
         reliability = {
             "history": _history(r["history"]),
@@ -87,7 +87,7 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
             "unreliable_run": _integer(r["unreliable_run"], 0, 1 << 62),
             "lost": _boolean(r["lost"]),
         }
-        scale = _number(document["scale"], 1e-6, 1e6)
+        scale = _number(document["scale"], 1e-6, 1e10)
         state = State((w, h), _boolean(document["grey"]), (x, y), scale, reliability, dict(document["arrays"]))
     except (KeyError, TypeError, ValueError, BadConfig) as error:
         raise BadSnapshot(f"a field is missing or out of its range: {error}") from error
