@@ -18,6 +18,8 @@ Spectra = npt.NDArray[np.complex64]
 
 LANES = 8
 """Scales are padded to a multiple of this many SIMD lanes."""
+SHORTEST = 2 * CELL
+"""Pixels of a sample's side at least."""
 MIN_SIDE = 5.0
 """Pixels; a target is not followed below this size, unless it began smaller."""
 OVERSAMPLING = 2.0
@@ -40,8 +42,10 @@ class ScaleModel:
         self.epsilon = np.float32(config.hog_epsilon)
         self.base_size = base_size
         shrink = sqrt(config.scale_max_area / (base_size[0] * base_size[1]))
-        self.width = max(2 * CELL, round(base_size[0] * shrink / CELL) * CELL)
-        self.height = max(2 * CELL, round(base_size[1] * shrink / CELL) * CELL)
+        longest = int(config.scale_max_area / SHORTEST) // CELL * CELL  # beside the shortest the aspect gives way
+        self.width, self.height = (
+            min(max(SHORTEST, round(side * shrink / CELL) * CELL), longest) for side in base_size
+        )
         lanes = -(-n // LANES) * LANES
         exponents = np.arange(n) - n // 2
         self.factors = np.ones(lanes, np.float32)
