@@ -165,7 +165,7 @@ def find_peak(fused, leave_out):
     def vertex(line, k):
         if not 0 < k < len(line) - 1:
             return float(k)
-        a, _, c = np.polyfit([-1, 0, 1], line[k - 1 : k + 2].astype(float), 2)
+        a = np.polyfit([-1, 0, 1], line[k - 1 : k + 2].astype(float), 2)[0]
         slope = (float(line[k + 1]) - float(line[k - 1])) / 2
         return k + (np.clip(-slope / (2 * a), -0.5, 0.5) if a < 0 else 0.0)
 
