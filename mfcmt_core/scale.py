@@ -18,8 +18,8 @@ Spectra = npt.NDArray[np.complex64]
 
 LANES = 8
 """Scales are padded to a multiple of this many SIMD lanes."""
-SHORTEST = 2 * CELL
-"""Pixels of a sample's side at least."""
+MAX_SAMPLE_SIDE = 64
+"""Pixels: together with the area this bounds the cost for targets of any aspect."""
 MIN_SIDE = 5.0
 """Pixels; a target is not followed below this size, unless it began smaller."""
 OVERSAMPLING = 2.0
@@ -42,10 +42,7 @@ class ScaleModel:
         self.epsilon = np.float32(config.hog_epsilon)
         self.base_size = base_size
         shrink = sqrt(config.scale_max_area / (base_size[0] * base_size[1]))
-        longest = int(config.scale_max_area / SHORTEST) // CELL * CELL  # beside the shortest the aspect gives way
-        self.width, self.height = (
-            min(max(SHORTEST, round(side * shrink / CELL) * CELL), longest) for side in base_size
-        )
+        self.width, self.height = (_sample_side(side * shrink) for side in base_size)
         lanes = -(-n // LANES) * LANES
         exponents = np.arange(n) - n // 2
         self.factors = np.ones(lanes, np.float32)
@@ -106,6 +103,11 @@ class ScaleModel:
         spectra = scratch("scale_spectra", (len(features), self.dft.shape[1]))
         np.dot(features, self.dft, out=spectra)
         return spectra.view(np.complex64)
+
+
+def _sample_side(side: float) -> int:
+    """A whole number of cells near ``side``; a sliver of a target does not make a sliver of a sample."""
+    return min(max(round(side / CELL) * CELL, 2 * CELL), MAX_SAMPLE_SIDE)
 
 
 def _gray_cut(
