@@ -7,13 +7,18 @@ import os
 import shlex
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
+import cv2
+
+from ..otb import film
 from ..otb.catalogue import resolve
 from ..otb.dataset import Dataset, open_otb
-from ..otb.document import to_markdown
+from ..otb.document import Picture, to_markdown
+from ..otb.errors import DataError
 from ..otb.report import Results, summary, write_report
-from ..otb.runner import evaluate
+from ..otb.runner import boxes_of, evaluate
 from ..otb.score import Evaluation
 from ..otb.trackers import Entry, ResultFolder
 from . import UsageError
@@ -49,6 +54,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--report", type=Path, metavar="FOLDER", help="write tables, plots, CSV and JSON there"
     )
+    parser.add_argument("--film", metavar="NAMES", help="strips of these sequences for the report (OPE)")
+    parser.add_argument("--video", action="store_true", help="beside each strip the whole film as MP4")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes (default: one a CPU)")
 
 
@@ -57,6 +64,8 @@ def run(args: argparse.Namespace) -> int:
     protocols = [p.upper() for p in args.protocol.split(",")]
     if unknown := set(protocols) - {"OPE", "TRE", "SRE"}:
         raise UsageError(f"unknown protocol: {', '.join(sorted(unknown))}")
+    if (args.film or args.video) and not (args.film and args.report and "OPE" in protocols):
+        raise UsageError("--film names sequences, needs --report and OPE; --video needs --film")
     dataset = _dataset(args)
     trackers = [resolve(text, args.results) for given in args.trackers for text in given.split(",") if text]
     lost = False
@@ -70,7 +79,9 @@ def run(args: argparse.Namespace) -> int:
         print(to_markdown([title, summary(evaluations, dataset)]))
         lost |= _complain(trackers, evaluations)
     if args.report is not None:
-        write_report(args.report, dataset, results, command=shlex.join(["mfcmt", *sys.argv[1:]]))
+        films = _films(args, dataset, trackers)
+        command = shlex.join(["mfcmt", *sys.argv[1:]])
+        write_report(args.report, dataset, results, command=command, films=films)
         print(args.report / "report.html")
     return int(lost)
 
@@ -84,6 +95,21 @@ def _dataset(args: argparse.Namespace) -> Dataset:
     if dataset.missing:
         print(f"{dataset.coverage} targets; not here: {', '.join(dataset.missing)}", file=sys.stderr)
     return dataset
+
+
+def _films(args: argparse.Namespace, dataset: Dataset, trackers: list[Entry | ResultFolder]) -> list[Picture]:
+    films = []
+    for sequence in dataset.select(args.film.split(",")) if args.film else ():
+        boxes = {}
+        for tracker in trackers:
+            with suppress(DataError):  # a missing result is in the report already
+                boxes[tracker.name] = boxes_of(tracker, sequence, args.results)
+        data = cv2.imencode(".jpg", film.strip(sequence, boxes))[1].tobytes()
+        films.append(Picture(f"film_{sequence.name}", f"{sequence.name}: {', '.join(boxes)}", data, "jpg"))
+        if args.video:
+            args.report.mkdir(parents=True, exist_ok=True)
+            film.video(args.report / f"film_{sequence.name}.mp4", sequence, boxes)
+    return films
 
 
 def _complain(trackers: list[Entry | ResultFolder], evaluations: list[Evaluation]) -> bool:
