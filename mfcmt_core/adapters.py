@@ -13,8 +13,9 @@ import numpy.typing as npt
 
 from .config import MFCMTConfig
 from .errors import BadImage
+from .geometry import Image
 from .result import Box, TrackResult
-from .tracker import MFCMT, Image
+from .tracker import MFCMT
 
 
 class OpenCVTracker:
@@ -51,9 +52,7 @@ class Got10kTracker:
 
     is_deterministic = True
 
-    def __init__(
-        self, config: MFCMTConfig | None = None, *, name: str = "MFCMT", origin: float = 0.0
-    ) -> None:
+    def __init__(self, config: MFCMTConfig | None = None, *, name: str = "MFCMT", origin: float = 0.0) -> None:
         self.name = name
         self.tracker = MFCMT(config)
         self._origin = np.array([origin, origin, 0, 0])

@@ -10,6 +10,8 @@ from .geometry import CELL, Image, SearchWindow
 from .kernels.color import bin_gray, bin_pixels, box_means, count_colors, learn_lookup, look_up
 from .workspace import scratch
 
+Bins = npt.NDArray[np.int32]
+
 BINS = 32
 """Bins a channel (section IV-A)."""
 
@@ -41,19 +43,18 @@ class ColorModel:
         self.columns = np.clip((side - bw) // 2 + steps_x, 0, side - bw)
         self.rows = np.clip((side - bh) // 2 + steps_y, 0, side - bh)
 
-    def respond(self, patch: Image, out: npt.NDArray[np.float32]) -> float:
+    def respond(self, bins: Bins, out: npt.NDArray[np.float32]) -> float:
         """Mean likelihood of the target's box at each displacement into ``out``; its highest value, in [0, 1]."""
-        height, width = patch.shape[:2]
-        bins = self.bins(patch)
+        height, width = bins.shape
         integral = scratch("integral", (height + 1, width + 1))
         look_up(bins, self.lookup, integral)
         box_means(integral, self.rows, self.columns, self.box[1], self.box[0], out)
         return float(out.max())
 
-    def learn(self, patch: Image, first: bool = False) -> None:
-        """Move both histograms towards those of ``patch``, centred on the target (equation 11)."""
+    def learn(self, bins: Bins, first: bool = False) -> None:
+        """Move both histograms towards those of a patch centred on the target (equation 11)."""
         new_f, new_b = scratch("new_f", self.foreground.shape), scratch("new_b", self.background.shape)
-        count_colors(self.bins(patch), self.inner, self.outer, new_f, new_b)
+        count_colors(bins, self.inner, self.outer, new_f, new_b)
         rate = np.float32(1) if first else self.rate
         learn_lookup(new_f, new_b, rate, self.foreground, self.background, self.unseen, self.lookup)
 
@@ -61,12 +62,10 @@ class ColorModel:
         """Compute the look-up table again from the histograms."""
         nothing = scratch("new_f", self.foreground.shape)
         nothing[:] = 0
-        learn_lookup(
-            nothing, nothing, np.float32(0), self.foreground, self.background, self.unseen, self.lookup
-        )
+        learn_lookup(nothing, nothing, np.float32(0), self.foreground, self.background, self.unseen, self.lookup)
 
-    def bins(self, patch: Image) -> npt.NDArray[np.int32]:
-        """The histogram bin of each pixel, (H, W) int32; scratch."""
+    def bins(self, patch: Image) -> Bins:
+        """The histogram bin of each pixel of ``patch`` (H, W[, 3]); scratch, until the next patch of its size."""
         bins = scratch("bins", patch.shape[:2], np.int32)
         (bin_gray if self.grey else bin_pixels)(patch, bins)
         return bins

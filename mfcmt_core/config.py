@@ -60,7 +60,7 @@ class MFCMTConfig:
     """How a response becomes a probability map: negatives clipped, minimum subtracted, or not at all."""
     sharpness: int = 1
     """Power, 1 or 2, that a map is raised to before it is normalised."""
-    statistical_weight: float = 1.0
+    statistical_weight: float = 1.5
     """Weight of the statistical map in the weighted equation 9; each template map has 1."""
 
     # Reliability and update (section III-C)
@@ -111,6 +111,7 @@ class MFCMTConfig:
             average="filter",
             probability="clip",
             sharpness=1,
+            statistical_weight=1.0,
             usual_threshold=0.0,
             lost_after=0,
         )
@@ -158,9 +159,7 @@ class MFCMTConfig:
         if not set(self.features) <= set(cues) or len(set(self.features)) != len(self.features):
             raise BadConfig(f"features={self.features!r} are not distinct ones of {cues}")
         if not (self.color_histogram or set(self.features) & {"gray", "fhog"}):
-            raise BadConfig(
-                "without colour histogram, gray or fhog nothing is left to track a grey target by"
-            )
+            raise BadConfig("without colour histogram, gray or fhog nothing is left to track a grey target by")
         if self.num_scales % 2 == 0:
             raise BadConfig(f"num_scales={self.num_scales} is not odd")
         if self.color_name_table is not None and not isinstance(self.color_name_table, str):

@@ -55,9 +55,7 @@ class Frame:
     size: tuple[int, int]
 
     @classmethod
-    def of(
-        cls, image: Image, offset: tuple[int, int] = (0, 0), frame_size: tuple[int, int] | None = None
-    ) -> Frame:
+    def of(cls, image: Image, offset: tuple[int, int] = (0, 0), frame_size: tuple[int, int] | None = None) -> Frame:
         """Check an image as the caller gave it. Raises BadImage."""
         if not isinstance(image, np.ndarray) or image.dtype != np.uint8:
             kind = getattr(image, "dtype", type(image).__name__)

@@ -16,9 +16,7 @@ MAX_SIDE = 160
 """Pixels of the shrunken frame's longer side at most, so that the search costs less than one update."""
 
 
-def propose(
-    color: ColorModel, frame: Frame, base_size: tuple[float, float], scale: float
-) -> tuple[float, float]:
+def propose(color: ColorModel, frame: Frame, base_size: tuple[float, float], scale: float) -> tuple[float, float]:
     """Centre of the box of the target's size whose mean likelihood exceeds its surroundings' most."""
     width, height = frame.size
     w, h = base_size[0] * scale, base_size[1] * scale

@@ -14,8 +14,12 @@ from .kernels.hog import CHANNELS, SIGNED
 from .kernels.scale import learn_scales, respond_scales, sample_scales, scale_hog
 from .workspace import scratch
 
+Spectra = npt.NDArray[np.complex64]
+
 LANES = 8
 """Scales are padded to a multiple of this many SIMD lanes."""
+MAX_SAMPLE_SIDE = 64
+"""Pixels: together with the area this bounds the cost for targets of any aspect."""
 MIN_SIDE = 5.0
 """Pixels; a target is not followed below this size, unless it began smaller."""
 OVERSAMPLING = 2.0
@@ -38,8 +42,7 @@ class ScaleModel:
         self.epsilon = np.float32(config.hog_epsilon)
         self.base_size = base_size
         shrink = sqrt(config.scale_max_area / (base_size[0] * base_size[1]))
-        self.width = max(2 * CELL, round(base_size[0] * shrink / CELL) * CELL)
-        self.height = max(2 * CELL, round(base_size[1] * shrink / CELL) * CELL)
+        self.width, self.height = (_sample_side(side * shrink) for side in base_size)
         lanes = -(-n // LANES) * LANES
         exponents = np.arange(n) - n // 2
         self.factors = np.ones(lanes, np.float32)
@@ -57,21 +60,14 @@ class ScaleModel:
         self.numerator = np.zeros((features, len(frequencies)), np.complex64)
         self.denominator = np.zeros(len(frequencies), np.float32)
 
-    def estimate(self, frame: Frame, within: Rect, center: tuple[float, float], scale: float) -> float:
-        """The factor by which the target's size changed since ``scale``."""
-        spectra = self._spectra(frame, within, center, scale)
+    def estimate(self, spectra: Spectra) -> float:
+        """The factor by which the target's size differs from the one that ``spectra`` were taken at."""
         response_f = np.empty(len(self.denominator), np.complex64)
         respond_scales(spectra, self.numerator, self.denominator, self.regularization, response_f)
-        response = np.fft.irfft(response_f, self.count)
-        best = int(response.argmax())
-        factor = float(self.factors[best])
-        return factor
+        return float(self.factors[np.fft.irfft(response_f, self.count).argmax()])
 
-    def learn(
-        self, frame: Frame, within: Rect, center: tuple[float, float], scale: float, first: bool = False
-    ) -> None:
-        """Move the filter towards the target as it is at ``scale``."""
-        spectra = self._spectra(frame, within, center, scale)
+    def learn(self, spectra: Spectra, first: bool = False) -> None:
+        """Move the filter towards the target, whose present size ``spectra`` were taken at."""
         rate = np.float32(1) if first else self.rate
         learn_scales(spectra, self.label_f, rate, self.numerator, self.denominator)
 
@@ -82,15 +78,11 @@ class ScaleModel:
         highest = max(1.0, min(frame_size[0] / w, frame_size[1] / h))
         return min(max(scale, lowest), highest)
 
-    def _spectra(
-        self, frame: Frame, within: Rect, center: tuple[float, float], scale: float
-    ) -> npt.NDArray[np.complex64]:
-        """DFT over scales of every feature, (features, count // 2 + 1)."""
+    def spectra(self, frame: Frame, within: Rect, center: tuple[float, float], scale: float) -> Spectra:
+        """DFT over scales of every feature, (features, count // 2 + 1) complex64; scratch, until the next call."""
         w, h = self.base_size[0] * scale, self.base_size[1] * scale
         largest = float(self.factors[: self.count].max())
-        gray, (cx, cy), (fx, fy) = _gray_cut(
-            frame, within, center, (w, h), largest, (self.width, self.height)
-        )
+        gray, (cx, cy), (fx, fy) = _gray_cut(frame, within, center, (w, h), largest, (self.width, self.height))
         lanes = len(self.factors)
         samples = scratch("scale_samples", (self.height, self.width, lanes))
         step_x = self.factors * np.float32(w / self.width / fx)
@@ -109,6 +101,11 @@ class ScaleModel:
         spectra = scratch("scale_spectra", (len(features), self.dft.shape[1]))
         np.dot(features, self.dft, out=spectra)
         return spectra.view(np.complex64)
+
+
+def _sample_side(side: float) -> int:
+    """A whole number of cells near ``side``; a sliver of a target does not make a sliver of a sample."""
+    return min(max(round(side / CELL) * CELL, 2 * CELL), MAX_SAMPLE_SIDE)
 
 
 def _gray_cut(

@@ -14,6 +14,8 @@ from .geometry import Image, SearchWindow
 from .kernels.template import center_response, energy, learn_filters, learn_spectra, respond_filters
 from .workspace import scratch
 
+Spectra = npt.NDArray[np.complex64]
+
 
 class TemplateModel:
     """One filter for each cue, or a single one for all of them together (``config.joint_filter``).
@@ -44,9 +46,12 @@ class TemplateModel:
             self.numerator = np.zeros(shape, np.complex64)
             self.denominator = np.zeros((len(blocks), *shape[1:]), np.float32)
 
-    def respond(self, patch: Image, out: npt.NDArray[np.float32]) -> float:
+    def spectra(self, patch: Image) -> Spectra:
+        """Half spectra of the windowed features of ``patch``, (channels, n, n // 2 + 1) complex64."""
+        return fft.rfft2(self.features.extract(patch))  # type: ignore[no-any-return]
+
+    def respond(self, spectra: Spectra, out: npt.NDArray[np.float32]) -> float:
         """Responses within reach into ``out`` (models, 2·ry + 1, 2·rx + 1); the mean of their peaks."""
-        spectra = fft.rfft2(self.features.extract(patch))
         n = self.features.cells
         response_f = scratch("response_f", (len(self.blocks), n, n // 2 + 1), np.complex64)
         respond_filters(self.filters, spectra, self.blocks, response_f)
@@ -54,9 +59,8 @@ class TemplateModel:
         peaks = [center_response(r, o) for r, o in zip(responses, out, strict=True)]
         return float(sum(peaks) / len(peaks))
 
-    def learn(self, patch: Image, first: bool = False) -> None:
-        """Learn ``patch``, centred on the target, at the learning rate (equation 11), or at 1 the first time."""
-        spectra = fft.rfft2(self.features.extract(patch))
+    def learn(self, spectra: Spectra, first: bool = False) -> None:
+        """Learn a patch centred on the target at the learning rate (equation 11), or at 1 the first time."""
         energies = scratch("energies", (len(self.blocks), *spectra.shape[1:]))
         for block, out in zip(self.blocks, energies, strict=True):
             energy(spectra, block, out)

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Any
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from . import snapshot
-from .color import ColorModel
+from .color import Bins, ColorModel
 from .config import MFCMTConfig
 from .errors import BadImage, NotInitialised
-from .fusion import Peak, fuse
+from .fusion import fuse
 from .geometry import Frame, Image, Patch, Rect, SearchWindow, check_box, clip_rect, grow_rect
 from .redetection import propose
 from .reliability import Peaks, Reliability, Verdict
 from .result import Box, TrackResult
 from .scale import ScaleModel
-from .template import TemplateModel
+from .template import Spectra, TemplateModel
 from .workspace import scratch
 
 ATTENTION = 1.5
@@ -53,11 +53,59 @@ class Target:
         if self.color:
             self.map_weights[-1] = config.statistical_weight if cues else 1
 
+    def observe(self, frame: Frame, within: Rect, center: Point) -> Observation:
+        """Lines 2–4 of Algorithm 1: crop the window around ``center`` and extract what the models need."""
+        patch = self.window.crop(frame, within, center, self.scale)
+        pixels = _as_mode(patch.pixels, self.grey)
+        return Observation(
+            center,
+            self.window.rect(center, self.scale),
+            patch,
+            self.template.spectra(pixels) if self.template else np.empty(0, np.complex64),
+            self.color.bins(pixels) if self.color else np.empty(0, np.int32),
+        )
+
+    def learn(self, seen: Observation, first: bool = False) -> None:
+        """Line 11 of Algorithm 1, on an observation centred on the target."""
+        if self.template:
+            self.template.learn(seen.spectra, first)
+        if self.color:
+            self.color.learn(seen.bins, first)
+
+    def maps(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Scratch for the single maps (maps, rows, columns) and the fused one (rows, columns)."""
+        shape = (2 * self.window.reach[1] + 1, 2 * self.window.reach[0] + 1)
+        return scratch("responses", (len(self.map_names), *shape)), scratch("fused", shape)
+
     @property
     def box(self) -> Box:
         """The box at the present centre and scale."""
         w, h = self.base_size[0] * self.scale, self.base_size[1] * self.scale
         return self.center[0] - w / 2, self.center[1] - h / 2, w, h
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Where a search ended: centre in the frame, the peaks of its maps, peak-to-sidelobe ratio."""
+
+    center: Point
+    peaks: Peaks
+    psr: float
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """The search window at one place of one frame, and what the models see in it.
+
+    ``rect`` is the window in whole pixels: where it is the same, so is everything else. ``spectra`` and
+    ``bins`` are empty where there is no such model; ``bins`` is scratch.
+    """
+
+    place: Point
+    rect: Rect
+    patch: Patch
+    spectra: Spectra
+    bins: Bins
 
 
 class MFCMT:
@@ -96,10 +144,12 @@ class MFCMT:
         window = SearchWindow(self.config, (w, h))
         within = clip_rect(window.rect(center, 1.0, ATTENTION), frame.size)
         frame.require(within)
-        patch = window.crop(frame, within, center, 1.0)
-        target = Target(self.config, (w, h), _is_grey(patch.pixels))
+        grey = _is_grey(window.crop(frame, within, center, 1.0).pixels)
+        target = Target(self.config, (w, h), grey)
         target.center = center
-        self._learn(target, frame, within, first=True)
+        target.learn(target.observe(frame, within, center), first=True)
+        if target.sizes:
+            target.sizes.learn(target.sizes.spectra(frame, within, center, 1.0), first=True)
         self._target, self._frame_size = target, frame.size
         return TrackResult((x, y, w, h), "tracking", None, None, None, None, True, 1.0)
 
@@ -122,22 +172,28 @@ class MFCMT:
         within = self.needed_region()
         frame.require(within)
 
-        center, peak, peaks, fused = self._search(target, frame, within)
-        kept = self._copy_maps(target, fused) if maps else None
-        verdict = target.reliability.judge(peaks)
+        seen, found = self._search(target, frame, within)
+        kept = self._copy_maps(target) if maps else None
+        verdict = target.reliability.judge(found.peaks)
         if verdict.status != "lost":
-            target.center = center
-        if (
-            target.sizes
-            and (verdict.reliable or not self.config.scale_when_reliable)
-            and verdict.status != "lost"
-        ):
-            factor = target.sizes.estimate(frame, within, target.center, target.scale)
-            target.scale = target.sizes.clamp(target.scale * factor, frame.size)
+            target.center = found.center
+            self._resize(target, frame, within, verdict)
         if verdict.reliable:
-            self._learn(target, frame, within)
-            target.reliability.learned_from(peaks)
-        return _result(target, verdict, peak, kept)
+            if target.window.rect(target.center, target.scale) != seen.rect:
+                seen = target.observe(frame, within, target.center)
+            target.learn(seen)
+            target.reliability.learned_from(found.peaks)
+        return TrackResult(
+            box=target.box,
+            status=verdict.status,
+            reliable=verdict.reliable,
+            flags=verdict.flags,
+            scores=verdict.scores,
+            psr=found.psr,
+            updated=verdict.reliable,
+            scale=target.scale,
+            maps=kept,
+        )
 
     def track(self, frames: Iterable[Image], box: Iterable[float]) -> Iterator[TrackResult]:
         """Start on the first of ``frames`` and yield one result a frame, the first included."""
@@ -176,72 +232,55 @@ class MFCMT:
             raise NotInitialised("call init first")
         return self._target
 
-    def _search(
-        self, target: Target, frame: Frame, within: Rect
-    ) -> tuple[Point, Peak, Peaks, npt.NDArray[np.float32]]:
+    def _search(self, target: Target, frame: Frame, within: Rect) -> tuple[Observation, Found]:
         """Where the fused map peaks: around the last place and, while lost, also where colours propose."""
-        found = self._detect(target, frame, within, target.center)
+        places = [target.center]
         if target.reliability.lost and target.color:
-            proposal = propose(target.color, frame, target.base_size, target.scale)
-            there = self._detect(target, frame, within, proposal)
-            if there[2].template > found[2].template:
-                return there
-            found = self._detect(target, frame, within, target.center)  # the maps are scratch
-        return found
+            places.append(propose(target.color, frame, target.base_size, target.scale))
+        best = None
+        for place in places:
+            seen = target.observe(frame, within, place)
+            found = self._detect(target, frame, seen)
+            if best is None or found.peaks.template > best[1].peaks.template:
+                best = seen, found
+        assert best is not None
+        if best[0] is not seen:  # bins and maps are scratch: they must be those of the place chosen
+            seen = target.observe(frame, within, best[0].place)
+            best = seen, self._detect(target, frame, seen)
+        return best
 
-    def _detect(
-        self, target: Target, frame: Frame, within: Rect, center: Point
-    ) -> tuple[Point, Peak, Peaks, npt.NDArray[np.float32]]:
-        """Lines 2–7 of Algorithm 1: crop, respond, fuse, take the peak."""
-        window = target.window
-        patch = _as_mode(window.crop(frame, within, center, target.scale), target.grey)
-        shape = (2 * window.reach[1] + 1, 2 * window.reach[0] + 1)
-        responses = scratch("responses", (len(target.map_names), *shape))
-        fused = scratch("fused", shape)
-        template = (
-            target.template.respond(patch.pixels, responses[: len(target.template.names)])
-            if target.template
-            else 1.0
-        )
-        statistical = target.color.respond(patch.pixels, responses[-1]) if target.color else 1.0
-        peak = fuse(responses, target.map_weights, self.config, fused)
-        x, y = window.displaced(patch, peak.displacement)
-        width, height = frame.size
-        place = (min(max(x, 0.0), float(width)), min(max(y, 0.0), float(height)))
-        return place, peak, Peaks(peak.height, template, statistical), fused
-
-    def _learn(self, target: Target, frame: Frame, within: Rect, first: bool = False) -> None:
-        """Lines 10 and 11 of Algorithm 1, on the target where it now is."""
-        patch = _as_mode(target.window.crop(frame, within, target.center, target.scale), target.grey)
+    def _detect(self, target: Target, frame: Frame, seen: Observation) -> Found:
+        """Lines 5–7 of Algorithm 1: respond, fuse, take the peak."""
+        responses, fused = target.maps()
+        template = statistical = 1.0
         if target.template:
-            target.template.learn(patch.pixels, first)
+            template = target.template.respond(seen.spectra, responses[: len(target.template.names)])
         if target.color:
-            target.color.learn(patch.pixels, first)
-        if target.sizes:
-            target.sizes.learn(frame, within, target.center, target.scale, first)
+            statistical = target.color.respond(seen.bins, responses[-1])
+        peak = fuse(responses, target.map_weights, self.config, fused)
+        x, y = target.window.displaced(seen.patch, peak.displacement)
+        center = (min(max(x, 0.0), float(frame.size[0])), min(max(y, 0.0), float(frame.size[1])))
+        return Found(center, Peaks(peak.height, template, statistical), peak.psr)
 
-    def _copy_maps(
-        self, target: Target, fused: npt.NDArray[np.float32]
-    ) -> dict[str, npt.NDArray[np.float32]]:
+    def _resize(self, target: Target, frame: Frame, within: Rect, verdict: Verdict) -> None:
+        """Lines 8 and 10 of Algorithm 1: find the scale, and learn it where the frame is reliable."""
+        sizes = target.sizes
+        if sizes is None or not (verdict.reliable or not self.config.scale_when_reliable):
+            return
+        spectra = sizes.spectra(frame, within, target.center, target.scale)
+        scale = sizes.clamp(target.scale * sizes.estimate(spectra), frame.size)
+        if verdict.reliable:
+            if scale != target.scale:
+                spectra = sizes.spectra(frame, within, target.center, scale)
+            sizes.learn(spectra)
+        target.scale = scale
+
+    def _copy_maps(self, target: Target) -> dict[str, npt.NDArray[np.float32]]:
         """The probability maps of the last search by name."""
-        responses = scratch("responses", (len(target.map_names), *fused.shape))
+        responses, fused = target.maps()
         return {"fused": fused.copy()} | {
             name: np.array(r) for name, r in zip(target.map_names, responses, strict=True)
         }
-
-
-def _result(target: Target, verdict: Verdict, peak: Peak, maps: Any) -> TrackResult:
-    return TrackResult(
-        target.box,
-        verdict.status,
-        verdict.reliable,
-        verdict.flags,
-        verdict.scores,
-        peak.psr,
-        verdict.reliable,
-        target.scale,
-        maps,
-    )
 
 
 def _is_grey(pixels: Image) -> bool:
@@ -253,9 +292,8 @@ def _is_grey(pixels: Image) -> bool:
     return worst <= GREY_TOLERANCE
 
 
-def _as_mode(patch: Patch, grey: bool) -> Patch:
-    """The patch in the channels that its target's models expect."""
-    if grey == (patch.pixels.ndim == 2):
-        return patch
-    code = cv2.COLOR_BGR2GRAY if grey else cv2.COLOR_GRAY2BGR
-    return Patch(cv2.cvtColor(patch.pixels, code), patch.center, patch.step)  # type: ignore[arg-type]
+def _as_mode(pixels: Image, grey: bool) -> Image:
+    """The pixels in the channels that the target's models expect."""
+    if grey == (pixels.ndim == 2):
+        return pixels
+    return cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY if grey else cv2.COLOR_GRAY2BGR)  # type: ignore[return-value]

@@ -51,9 +51,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default=Path("results"),
         help="folder of result files; finished work there is kept (default: results)",
     )
-    parser.add_argument(
-        "--report", type=Path, metavar="FOLDER", help="write tables, plots, CSV and JSON there"
-    )
+    parser.add_argument("--report", type=Path, metavar="FOLDER", help="write tables, plots, CSV and JSON there")
     parser.add_argument("--film", metavar="NAMES", help="strips of these sequences for the report (OPE)")
     parser.add_argument("--video", action="store_true", help="beside each strip the whole film as MP4")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes (default: one a CPU)")

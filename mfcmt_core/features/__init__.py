@@ -63,9 +63,7 @@ class FeatureStack:
             histogram = scratch("cells", (n, SIGNED, n))
             gradients(gray, magnitude, orientation)
             histogram_cells(magnitude, orientation, scratch("rows", (4, SIGNED, n + 2)), histogram)
-            normalize_cells(
-                histogram, self.window, self.epsilon, scratch("norms", (n + 1, n + 1)), out[block]
-            )
+            normalize_cells(histogram, self.window, self.epsilon, scratch("norms", (n + 1, n + 1)), out[block])
         if block := self.blocks.get("color_names"):
             means = cv2.resize(patch, (n, n), interpolation=cv2.INTER_AREA)
             color_name_cells(means, self.names, self.window, out[block])

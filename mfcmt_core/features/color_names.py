@@ -115,15 +115,14 @@ def memberships(rgb: npt.ArrayLike) -> npt.NDArray[np.float64]:
         along, across = a * np.cos(angle) + b * np.sin(angle), -a * np.sin(angle) + b * np.cos(angle)
         chromatic = _sigmoid((along / ex) ** 2 + (across / ey) ** 2 - 1, slope)
         for name, (ax, ay, bx, by) in sectors.items():
-            sides = _sigmoid(a * np.cos(ay) + b * np.sin(ay), by) * _sigmoid(
-                -a * np.sin(ax) + b * np.cos(ax), bx
-            )
+            sides = _sigmoid(a * np.cos(ay) + b * np.sin(ay), by) * _sigmoid(-a * np.sin(ax) + b * np.cos(ax), bx)
             out[inside, NAMES.index(name)] = chromatic * sides
     rest = np.maximum(1 - out.sum(1), 0)
     dark = _sigmoid(lab[:, 0] - _BLACK_GREY[0], -_BLACK_GREY[1])
     light = _sigmoid(lab[:, 0] - _GREY_WHITE[0], _GREY_WHITE[1])
     out[:, 8], out[:, 9], out[:, 10] = rest * dark, rest * (1 - dark) * (1 - light), rest * light
-    return out / np.maximum(out.sum(1, keepdims=True), 1e-12)
+    out /= np.maximum(out.sum(1, keepdims=True), 1e-12)
+    return out
 
 
 def _bin_centers() -> npt.NDArray[np.float64]:

@@ -142,12 +142,7 @@ def scale_hog(samples, epsilon, histogram, norms, window, out):  # type: ignore[
                     v = h1[s] + h2[s]
                     out[base + 18 + o, s] = (
                         half
-                        * (
-                            min(v * a[s], CLIP)
-                            + min(v * b[s], CLIP)
-                            + min(v * c[s], CLIP)
-                            + min(v * d[s], CLIP)
-                        )
+                        * (min(v * a[s], CLIP) + min(v * b[s], CLIP) + min(v * c[s], CLIP) + min(v * d[s], CLIP))
                         * window[s]
                     )
 

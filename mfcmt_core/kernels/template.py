@@ -65,9 +65,7 @@ def learn_spectra(  # type: ignore[no-untyped-def]
                 for k in range(label_f.shape[1]):
                     new = np.conj(label_f[i, k]) * spectra[channel, i, k] * rate
                     numerator[channel, i, k] = keep * numerator[channel, i, k] + new
-                    filters[channel, i, k] = numerator[channel, i, k] / (
-                        denominator[m, i, k] + regularization
-                    )
+                    filters[channel, i, k] = numerator[channel, i, k] / (denominator[m, i, k] + regularization)
 
 
 @kernel

@@ -52,9 +52,7 @@ def compare(
     common = [name for name in tracker.scores if name in reference.scores]
     if not common:
         raise DataError(f"{tracker.tracker} and {reference.tracker} have no sequence in common")
-    difference = np.array(
-        [getattr(tracker.scores[n], metric) - getattr(reference.scores[n], metric) for n in common]
-    )
+    difference = np.array([getattr(tracker.scores[n], metric) - getattr(reference.scores[n], metric) for n in common])
     drawn = np.random.default_rng(seed).integers(len(common), size=(samples, len(common)))
     low, high = np.percentile(difference[drawn].mean(axis=1), [2.5, 97.5])
     return Difference(

@@ -251,9 +251,7 @@ def numbered_images(folder: Path, first: int, last: int) -> tuple[Path, ...]:
         return tuple(by_number[n] for n in wanted)
     if len(images) == len(wanted):
         return tuple(images)
-    raise DataError(
-        f"{folder}: {len(absent)} of the images {first} to {last} are missing, first number {absent[0]}"
-    )
+    raise DataError(f"{folder}: {len(absent)} of the images {first} to {last} are missing, first number {absent[0]}")
 
 
 def _number(path: Path) -> int:
@@ -278,9 +276,7 @@ def read_boxes(path: Path, columns: tuple[int, ...] = (4,)) -> Array:
             raise DataError(f"{path}:{number}: not numbers: {line.strip()[:60]!r}") from None
         if len(row) not in columns:
             wanted = " or ".join(map(str, columns))
-            raise DataError(
-                f"{path}:{number}: {len(row)} numbers where {wanted} are wanted: {line.strip()[:60]!r}"
-            )
+            raise DataError(f"{path}:{number}: {len(row)} numbers where {wanted} are wanted: {line.strip()[:60]!r}")
         rows.append(row)
     if not rows:
         raise DataError(f"{path}: is empty")

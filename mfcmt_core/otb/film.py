@@ -68,9 +68,7 @@ def _drawn(sequence: Sequence, index: int, boxes: Mapping[str, Array], width: in
     for order, rows in enumerate(boxes.values()):
         _rectangle(canvas, rows[index] * factor, _color(order), 2)
     label = f"{sequence.name} #{sequence.first + index}"
-    cv2.rectangle(
-        canvas, (0, 0), (cv2.getTextSize(label, FONT, 0.5, 1)[0][0] + 12, 24), (0, 0, 0), cv2.FILLED
-    )
+    cv2.rectangle(canvas, (0, 0), (cv2.getTextSize(label, FONT, 0.5, 1)[0][0] + 12, 24), (0, 0, 0), cv2.FILLED)
     cv2.putText(canvas, label, (6, 18), FONT, 0.5, (0, 255, 255), 1, cv2.LINE_AA)
     return canvas
 

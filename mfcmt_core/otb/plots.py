@@ -34,9 +34,7 @@ class Kind:
 
 
 SUCCESS = Kind("success", SUCCESS_THRESHOLDS, "Success", "Overlap threshold", "Success rate")
-PRECISION = Kind(
-    "precision", PRECISION_THRESHOLDS, "Precision", "Centre error threshold (pixels)", "Precision"
-)
+PRECISION = Kind("precision", PRECISION_THRESHOLDS, "Precision", "Centre error threshold (pixels)", "Precision")
 NORM_PRECISION = Kind(
     "norm_precision",
     NORM_PRECISION_THRESHOLDS,
@@ -67,9 +65,7 @@ def plot(kind: Kind, evaluations: Seq[Evaluation], title: str) -> str:
 def attribute_plots(kind: Kind, evaluations: Seq[Evaluation], dataset: Dataset, title: str) -> str:
     """A small plot for each of the attributes that some sequence has, as in figure 4."""
     groups = {a: [s.name for s in dataset if a in s.attributes] for a in ATTRIBUTES}
-    groups = {
-        a: names for a, names in groups.items() if any(n in e.scores for e in evaluations for n in names)
-    }
+    groups = {a: names for a, names in groups.items() if any(n in e.scores for e in evaluations for n in names)}
     rows = -(-len(groups) // 3)
     styles = _styles(evaluations)
     with rc_context(_STYLE):

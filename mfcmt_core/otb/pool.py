@@ -110,13 +110,10 @@ class _Runner:
                     self._tick(unticked)
                     unticked = 0
         except Exception as failed:
-            return Outcome(
-                error=f"{sequence.name}, frame {sequence.first + index}: {type(failed).__name__}: {failed}"
-            )
+            return Outcome(error=f"{sequence.name}, frame {sequence.first + index}: {type(failed).__name__}: {failed}")
         self._tick(unticked)
         speeds = {
-            key: Speed(len(t), float(t.sum()), float(np.mean(1.0 / np.maximum(t, 1e-9))))
-            for key, t in seconds.items()
+            key: Speed(len(t), float(t.sum()), float(np.mean(1.0 / np.maximum(t, 1e-9)))) for key, t in seconds.items()
         }
         return Outcome(boxes, speeds)
 
@@ -180,9 +177,7 @@ def _in_processes(queue: deque[Job], workers: int, tick: Tick) -> Iterator[tuple
                 except (EOFError, ConnectionError):
                     worker.stop()
                     del team[pipe]
-                    message = Outcome(
-                        error=f"{job.sequence.name}: the process died ({worker.process.exitcode})"
-                    )
+                    message = Outcome(error=f"{job.sequence.name}: the process died ({worker.process.exitcode})")
                 if isinstance(message, int):
                     tick(message)
                     continue

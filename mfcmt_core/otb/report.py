@@ -50,9 +50,7 @@ def write_report(
     (folder / "report.md").write_text(to_markdown(blocks), encoding="utf-8")
     (folder / "report.html").write_text(to_html(title, blocks), encoding="utf-8")
     (folder / "scores.csv").write_text(to_csv(results), encoding="utf-8")
-    (folder / "scores.json").write_text(
-        json.dumps(to_dict(dataset, results), indent=1) + "\n", encoding="utf-8"
-    )
+    (folder / "scores.json").write_text(json.dumps(to_dict(dataset, results), indent=1) + "\n", encoding="utf-8")
     for block in blocks:
         if isinstance(block, Picture):
             (folder / block.file).write_bytes(block.data)
@@ -68,9 +66,7 @@ def summary(evaluations: Seq[Evaluation], dataset: Dataset) -> Table:
     rows = []
     for e in ranked:
         row = [e.tracker, *(f"{e.mean(m):.3f}" for m in METRICS), _number(e.fps), _number(e.mean_rate)]
-        row.append(
-            f"{len(e.scores)} of {len(dataset)}" if len(e.scores) < len(dataset) else str(len(dataset))
-        )
+        row.append(f"{len(e.scores)} of {len(dataset)}" if len(e.scores) < len(dataset) else str(len(dataset)))
         rows.append(row + ([f"{e.mean('success', common):.3f}"] if uneven else []))
     return Table(header, rows)
 
@@ -83,9 +79,7 @@ def attributes(evaluations: Seq[Evaluation], dataset: Dataset, metric: str = "su
     columns = []
     for names in groups.values():
         values = [e.mean(metric, names) if any(n in e.scores for n in names) else None for e in ranked]
-        best = max(
-            (v for v, e in zip(values, ranked, strict=True) if v is not None and not e.missing), default=None
-        )
+        best = max((v for v, e in zip(values, ranked, strict=True) if v is not None and not e.missing), default=None)
         columns.append([_best(v, best) for v in values])
     header = ["tracker", *(f"{a} ({len(names)})" for a, names in groups.items())]
     return Table(header, [[e.tracker, *(c[i] for c in columns)] for i, e in enumerate(ranked)])
@@ -98,10 +92,7 @@ def per_sequence(evaluations: Seq[Evaluation], dataset: Dataset) -> Table:
     for sequence in dataset:
         scores = [e.scores.get(sequence.name) for e in evaluations]
         best = max((s.success for s in scores if s), default=None)
-        cells = [
-            Strong(t) if s and s.success == best else t
-            for s, t in zip(scores, map(_pair, scores), strict=True)
-        ]
+        cells = [Strong(t) if s and s.success == best else t for s, t in zip(scores, map(_pair, scores), strict=True)]
         rows.append([sequence.name, str(len(sequence)), *cells])
     return Table(header, rows)
 
@@ -130,10 +121,7 @@ def published_figures(subset: str) -> Table:
     rows = [row for row in csv.DictReader(text.splitlines()) if row["set"] == subset]
     return Table(
         ["tracker", "success", "precision", "FPS", "measured on", "source"],
-        [
-            [r["tracker"], *(r[k] or "–" for k in ("success", "precision", "fps", "hardware", "source"))]
-            for r in rows
-        ],
+        [[r["tracker"], *(r[k] or "–" for k in ("success", "precision", "fps", "hardware", "source"))] for r in rows],
     )
 
 
@@ -145,11 +133,7 @@ def to_csv(results: Results) -> str:
     for protocol, evaluations in results.items():
         for e in evaluations:
             for name, s in e.scores.items():
-                speed = (
-                    [f"{s.speed.frames / s.speed.seconds:.2f}", f"{s.speed.mean_rate:.2f}"]
-                    if s.speed
-                    else ["", ""]
-                )
+                speed = [f"{s.speed.frames / s.speed.seconds:.2f}", f"{s.speed.mean_rate:.2f}"] if s.speed else ["", ""]
                 values = [f"{getattr(s, m):.6f}" for m in METRICS]
                 writer.writerow([protocol, e.tracker, name, *values, s.frames, *speed, ""])
             for name, reason in e.missing.items():
@@ -180,9 +164,7 @@ def machine() -> dict[str, str]:
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.is_file():
-        names = [
-            line.partition(":")[2].strip() for line in info.read_text().splitlines() if "model name" in line
-        ]
+        names = [line.partition(":")[2].strip() for line in info.read_text().splitlines() if "model name" in line]
         model = names[0] if names else model
     return {
         "mfcmt": f"{__version__} (code {code_hash()})",

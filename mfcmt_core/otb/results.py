@@ -68,9 +68,7 @@ class ResultStore:
         """What is known of this pair; None where nothing is."""
         return read_record(self.folder(protocol, tracker) / f"{sequence}.json")
 
-    def write(
-        self, protocol: str, tracker: str, sequence: str, record: Record, boxes: dict[str, Array]
-    ) -> None:
+    def write(self, protocol: str, tracker: str, sequence: str, record: Record, boxes: dict[str, Array]) -> None:
         """Keep new boxes by run key (0-based), then the record: a crash in between leaves runs unfinished."""
         folder = self.folder(protocol, tracker)
         folder.mkdir(parents=True, exist_ok=True)

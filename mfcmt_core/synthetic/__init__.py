@@ -54,9 +54,7 @@ class Scene:
 
 
 SCENES = {
-    "sample": Scene(
-        (640, 480), (84.0, 112.0), 300, zoom=1.3, hide=0.45, light=0.12, rivals=3, pan=0.35, balloons=True
-    ),
+    "sample": Scene((640, 480), (84.0, 112.0), 300, zoom=1.3, hide=0.45, light=0.12, rivals=3, pan=0.35, balloons=True),
     "motion": Scene(),
     "scale": Scene(length=160, zoom=1.5),
     "occlusion": Scene(length=160, hide=0.6),
@@ -137,11 +135,7 @@ def clip(name: str = "sample", *, seed: int = 0, **changes: Any) -> Sequence:
 def render(scene: Scene, *, seed: int = 0, name: str = "scene") -> Sequence:
     """The sequence of a scene. Raises ValueError for sizes or a length that leave nothing to see."""
     (width, height), (tw, th) = scene.size, scene.target
-    if (
-        scene.length < 1
-        or min(width, height) < 16
-        or not 4 <= min(tw, th) <= max(tw, th) < max(width, height)
-    ):
+    if scene.length < 1 or min(width, height) < 16 or not 4 <= min(tw, th) <= max(tw, th) < max(width, height):
         raise ValueError(f"cannot render a target of {tw}×{th} in {scene.length} frames of {width}×{height}")
     boxes = _boxes(scene)
     rng = np.random.default_rng(seed)
@@ -223,9 +217,7 @@ def _rival_path(scene: Scene, boxes: Array, k: int) -> Array:
     return np.stack([x, y, np.full_like(x, w), np.full_like(x, h)], axis=1)
 
 
-def _post(
-    scene: Scene, rng: np.random.Generator, boxes: Array, camera: Array
-) -> tuple[paint.Picture | None, Array]:
+def _post(scene: Scene, rng: np.random.Generator, boxes: Array, camera: Array) -> tuple[paint.Picture | None, Array]:
     """What the target passes behind, left of the middle: a tower in the valley, else a post."""
     (width, height), w = scene.size, scene.hide * scene.target[0]
     left = boxes[:, 0].min() + boxes[0, 2] / 2
@@ -249,7 +241,7 @@ def _shown(scene: Scene, boxes: Array, posts: Array) -> Array:
 
     near, far = boxes[:, :2], boxes[:, :2] + boxes[:, 2:]
     inside = clipped(near, far, 0, scene.size).prod(axis=1)
-    hidden = clipped(
-        np.maximum(near, 0), np.minimum(far, scene.size), posts[:, :2], posts[:, :2] + posts[:, 2:]
-    ).prod(axis=1)
+    hidden = clipped(np.maximum(near, 0), np.minimum(far, scene.size), posts[:, :2], posts[:, :2] + posts[:, 2:]).prod(
+        axis=1
+    )
     return np.asarray((inside - hidden) / boxes[:, 2:].prod(axis=1), np.float64)

@@ -110,9 +110,7 @@ def plate(rng: np.random.Generator, width: int, height: int) -> Picture:
     """A textured rectangle that fills its box: warm marbled colours, a dark frame, a disc and bars."""
     grain = noise(rng, height, width, max(min(width, height) / 3, 2), 4)
     fine = noise(rng, height, width, max(min(width, height) / 12, 1.5), 2)
-    picture = mix(
-        np.full((height, width, 3), (40, 60, 190)), np.full((height, width, 3), (60, 205, 240)), grain
-    )
+    picture = mix(np.full((height, width, 3), (40, 60, 190)), np.full((height, width, 3), (60, 205, 240)), grain)
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)
     u, v = (x + 0.5) / width, (y + 0.5) / height
     picture = mix(picture, (160, 60, 30), step(0.24 - np.hypot((u - 0.36), (v - 0.38)), -0.02, 0.02))
@@ -252,9 +250,7 @@ def landscape(rng: np.random.Generator, width: int, height: int) -> Picture:
         if abs(bend[spot]) < 0.3 or (edge[spot] < 0.4 and rng.random() < 0.8):
             continue
         size = height * (0.012 + 0.085 * d)
-        shadow = sprite(
-            np.zeros((16, 32, 3)), 0.4 * step(1 - np.hypot(*np.mgrid[-1:1:16j, -1:1:32j]), 0, 0.5)
-        )
+        shadow = sprite(np.zeros((16, 32, 3)), 0.4 * step(1 - np.hypot(*np.mgrid[-1:1:16j, -1:1:32j]), 0, 0.5))
         blend(picture, shadow, (place - 0.2 * size, row - 0.13 * size, size * 1.1, size * 0.26))
         plant = forest[int(rng.integers(6))].copy()
         plant[..., :3] += (f32(SKY_LOW) * plant[..., 3:] - plant[..., :3]) * 0.5 * np.exp(-d * 7)

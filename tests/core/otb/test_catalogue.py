@@ -56,9 +56,7 @@ def test_a_configuration_file(tmp_path: Path) -> None:
     path.write_text('base = "paper"\ntemplate_learning_rate = 0.005\nfeatures = ["gray", "fhog"]\n')
     entry = engine(str(path))
     assert entry.name == "slow"
-    assert entry.config == MFCMTConfig.paper().replace(
-        template_learning_rate=0.005, features=("gray", "fhog")
-    )
+    assert entry.config == MFCMTConfig.paper().replace(template_learning_rate=0.005, features=("gray", "fhog"))
     path = tmp_path / "same.json"
     path.write_text(json.dumps(MFCMTConfig.paper().to_dict()))
     assert engine(str(path)).config == MFCMTConfig.paper()

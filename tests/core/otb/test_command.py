@@ -66,9 +66,7 @@ def test_bad_arguments(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_tracker_needs_images(
-    annotations: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_tracker_needs_images(annotations: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["eval", "--data", str(annotations), "--results", str(tmp_path)]) == 1
     assert "has no images for default" in capsys.readouterr().err
 

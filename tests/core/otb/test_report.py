@@ -28,9 +28,7 @@ def evaluations(otb2015: Dataset, published: Path) -> list[Evaluation]:
     return evaluate(otb2015, [ResultFolder(n, published / n) for n in names])
 
 
-def test_the_summary_ranks_and_keeps_incomplete_trackers_apart(
-    evaluations: list[Evaluation], otb2015: Dataset
-) -> None:
+def test_the_summary_ranks_and_keeps_incomplete_trackers_apart(evaluations: list[Evaluation], otb2015: Dataset) -> None:
     table = summary(evaluations, otb2015)
     assert [row[0] for row in table.rows] == ["MCCT-H", "SRDCF", "DSST", "Staple", "Struck"]
     assert table.header[-1] == "success on the 25 of all"
@@ -117,9 +115,7 @@ def test_files(tmp_path: Path, evaluations: list[Evaluation], otb2015: Dataset) 
     assert len(first["sequences"]["David"]["success_curve"]) == 21
 
 
-def test_the_same_scores_give_the_same_files(
-    tmp_path: Path, evaluations: list[Evaluation], otb2015: Dataset
-) -> None:
+def test_the_same_scores_give_the_same_files(tmp_path: Path, evaluations: list[Evaluation], otb2015: Dataset) -> None:
     pytest.importorskip("matplotlib")
     for name in ("a", "b"):
         write_report(tmp_path / name, otb2015, {"OPE": evaluations})

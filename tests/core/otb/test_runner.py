@@ -63,9 +63,7 @@ def three(otb_root: Path) -> Dataset:
 
 
 @pytest.mark.parametrize("protocol", ["OPE", "TRE", "SRE"])
-def test_finished_work_is_kept_until_code_or_config_change(
-    three: Dataset, tmp_path: Path, protocol: str
-) -> None:
+def test_finished_work_is_kept_until_code_or_config_change(three: Dataset, tmp_path: Path, protocol: str) -> None:
     dataset = three.select(["Football1"])
     first = Made()
     (before,) = evaluate(dataset, [first], protocol, results=tmp_path, jobs=1)
@@ -143,9 +141,7 @@ def test_results_take_part_as_a_folder(three: Dataset, tmp_path: Path) -> None:
 def test_scores_of_a_still_tracker_are_what_the_truth_says(three: Dataset) -> None:
     (result,) = evaluate(three, [Made()], jobs=1)
     deer = three["Deer"]
-    distance = np.linalg.norm(
-        (deer.boxes - deer.boxes[0])[:, :2] + (deer.boxes - deer.boxes[0])[:, 2:] / 2, axis=1
-    )
+    distance = np.linalg.norm((deer.boxes - deer.boxes[0])[:, :2] + (deer.boxes - deer.boxes[0])[:, 2:] / 2, axis=1)
     assert result.scores["Deer"].precision == pytest.approx(float((distance <= 20).mean()))
     assert result.fps is not None
     assert result.mean_rate is not None
