@@ -6,8 +6,7 @@ import argparse
 import os
 import shlex
 import sys
-import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import cv2
@@ -22,6 +21,7 @@ from ..otb.runner import boxes_of, evaluate
 from ..otb.score import Evaluation
 from ..otb.trackers import Entry, ResultFolder
 from . import UsageError
+from .progress import Progress
 
 SUBSETS = {"otb2015": "OTB-2015", "otb2013": "OTB-2013", "tb50": "TB-50"}
 
@@ -69,9 +69,8 @@ def run(args: argparse.Namespace) -> int:
     lost = False
     results: Results = {}
     for protocol in protocols:
-        evaluations = evaluate(
-            dataset, trackers, protocol, results=args.results, jobs=args.jobs, progress=_progress(protocol)
-        )
+        with _Bar(protocol) as bar:
+            evaluations = evaluate(dataset, trackers, protocol, results=args.results, jobs=args.jobs, progress=bar)
         results[protocol] = evaluations
         title = f"{dataset.name} {protocol}, {dataset.coverage} targets"
         print(to_markdown([title, summary(evaluations, dataset)]))
@@ -121,26 +120,16 @@ def _complain(trackers: list[Entry | ResultFolder], evaluations: list[Evaluation
     return any(e.missing and e.tracker in ran for e in evaluations)
 
 
-class _progress:  # noqa: N801
-    """A line on the terminal, rewritten at most five times a second."""
+class _Bar(ExitStack):
+    """A progress bar whose total is known when the first steps are done."""
 
     def __init__(self, label: str) -> None:
+        super().__init__()
         self._label = label
-        self._begun = time.monotonic()
-        self._shown = 0.0
+        self._done = 0
+        self._bar: Progress | None = None
 
     def __call__(self, done: int, total: int) -> None:
-        now = time.monotonic()
-        if not sys.stderr.isatty() or (now - self._shown < 0.2 and done < total):
-            return
-        self._shown = now
-        left = (now - self._begun) * (total - done) / max(done, 1)
-        filled = 30 * done // max(total, 1)
-        bar = "#" * filled + "." * (30 - filled)
-        end = "\n" if done >= total else ""
-        print(
-            f"\r{self._label} [{bar}] {done}/{total} {left:4.0f} s left ",
-            end=end,
-            file=sys.stderr,
-            flush=True,
-        )
+        self._bar = self._bar or self.enter_context(Progress(total))
+        self._bar.step(self._label, done - self._done)
+        self._done = done
