@@ -13,9 +13,10 @@ import cv2
 
 from ..otb import film
 from ..otb.catalogue import resolve
-from ..otb.dataset import Dataset, open_otb
+from ..otb.dataset import Dataset
 from ..otb.document import Picture, to_markdown
 from ..otb.errors import DataError
+from ..otb.layouts import LAYOUTS, open_dataset
 from ..otb.report import Results, summary, write_report
 from ..otb.runner import boxes_of, evaluate
 from ..otb.score import Evaluation
@@ -43,6 +44,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "a folder of result files; LABEL=TRACKER gives another name",
     )
     parser.add_argument("--protocol", default="ope", help="ope, tre, sre, apart by comma (default: ope)")
+    parser.add_argument("--layout", choices=["auto", *LAYOUTS], default="auto", help="how the folder is laid out")
     parser.add_argument("--set", choices=SUBSETS, default="otb2015", help="which targets (default: otb2015)")
     parser.add_argument("--sequences", metavar="NAMES", help="only these, apart by comma")
     parser.add_argument(
@@ -86,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
 def _dataset(args: argparse.Namespace) -> Dataset:
     if not args.data.is_dir():
         raise UsageError(f"no data at {args.data}: name the folder of sequences with --data")
-    dataset = open_otb(args.data, SUBSETS[args.set])
+    dataset = open_dataset(args.data, args.layout, SUBSETS[args.set])
     if args.sequences:
         return dataset.select(args.sequences.split(","))
     if dataset.missing:
