@@ -1,0 +1,208 @@
+"""Bodies as they come in: read within a bound and a time, told by their media type, checked by code."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import binascii
+import contextlib
+from collections.abc import AsyncGenerator, AsyncIterator
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+from starlette.datastructures import UploadFile
+from starlette.formparsers import MultiPartException, MultiPartParser
+from starlette.requests import ClientDisconnect, Request
+
+from ..problems import ProblemError
+from ..schemas import fields
+from ..schemas.packed import Unreadable, from_json, from_msgpack
+from ..settings import Settings
+
+JSON, MSGPACK, FORM = "application/json", "application/msgpack", "multipart/form-data"
+SNAPSHOT = "application/vnd.mfcmt.snapshot"
+# Beside the frame: boxes, options, the part headers of a form.
+ENVELOPE_BYTES = 64 * 1024
+M = TypeVar("M", bound=BaseModel)
+
+
+@dataclass(frozen=True, slots=True)
+class Upload:
+    """A body with a frame: the image and the other fields."""
+
+    frame: bytes
+    fields: dict[str, Any]
+
+
+def media_type(request: Request) -> str:
+    """The body's media type, without parameters."""
+    return request.headers.get("content-type", "").partition(";")[0].strip().lower()
+
+
+async def read(request: Request, limit: int, settings: Settings, code: str = "body-too-large") -> bytes:
+    """The whole body. Raises ``code`` above ``limit`` bytes, deadline-exceeded, bad-request."""
+    async with _in_time(settings):
+        parts = [part async for part in _bounded(request, limit, code)]
+    return parts[0] if len(parts) == 1 else b"".join(parts)
+
+
+async def read_map(request: Request, settings: Settings) -> dict[str, Any]:
+    """A JSON or MessagePack map; nothing is an empty one."""
+    kind = media_type(request)
+    data = await read(request, settings.max_body_bytes, settings)
+    if not data:
+        return {}
+    if kind not in (JSON, MSGPACK):
+        raise unsupported(JSON, MSGPACK)
+    return _map(kind, data)
+
+
+async def read_upload(request: Request, settings: Settings, *, raw: bool) -> Upload:
+    """A frame and its fields; with ``raw`` the body may be the image itself."""
+    kind = media_type(request)
+    if kind == FORM:
+        return await _form(request, settings)
+    if kind == JSON:
+        limit = settings.max_json_frame_bytes * 4 // 3 + ENVELOPE_BYTES
+        told = _map(kind, await read(request, limit, settings))
+        return Upload(_from_base64(told.pop("frame", None), settings), told)
+    if kind == MSGPACK:
+        told = _map(kind, await read(request, settings.max_frame_bytes + ENVELOPE_BYTES, settings))
+        frame = told.pop("frame", None)
+        if type(frame) is not bytes:
+            raise ProblemError("bad-request", "frame is the image's bytes")
+        return Upload(_sized(frame, settings), told)
+    if raw and (kind.startswith("image/") or kind in ("application/octet-stream", "")):
+        return Upload(await read(request, settings.max_frame_bytes, settings, "frame-too-large"), {})
+    raise unsupported(FORM, JSON, MSGPACK, *(("image/*", "application/octet-stream") if raw else (SNAPSHOT,)))
+
+
+def boxes(told: dict[str, Any]) -> list[list[float]]:
+    """``box`` or ``boxes``. Raises bad-request, bad-box."""
+    if ("box" in told) == ("boxes" in told):
+        raise ProblemError("bad-request", "one of box and boxes is needed")
+    given = [told.pop("box")] if "box" in told else told.pop("boxes")
+    if type(given) is not list or not given:
+        raise ProblemError("bad-request", "boxes is a list of boxes")
+    return [fields.box(box) for box in given]
+
+
+def checked(model: type[M], told: Any) -> M:
+    """``told`` as ``model``. Raises bad-request, which names the field and never repeats the value."""
+    try:
+        return model.model_validate(told)
+    except ValidationError as wrong:
+        first = wrong.errors(include_input=False, include_url=False, include_context=False)[0]
+        place = ".".join(str(part)[:40] for part in first["loc"]) or "body"
+        raise ProblemError("bad-request", f"{place}: {first['msg']}") from None
+
+
+def nothing_more(told: dict[str, Any]) -> None:
+    """Raises bad-request for a field that nobody asked for."""
+    if told:
+        raise ProblemError("bad-request", f"unknown field {next(iter(told))[:40]!r}")
+
+
+def unsupported(*known: str) -> ProblemError:
+    """The body's media type is none of ``known``."""
+    return ProblemError("unsupported-media-type", f"{', '.join(known)} are read here")
+
+
+@contextlib.asynccontextmanager
+async def _in_time(settings: Settings) -> AsyncIterator[None]:
+    try:
+        async with asyncio.timeout(settings.body_timeout_s):
+            yield
+    except TimeoutError as slow:
+        raise ProblemError("deadline-exceeded", "the body took too long") from slow
+    except ClientDisconnect as gone:
+        raise ProblemError("bad-request", "the body ended early") from gone
+
+
+async def _bounded(request: Request, limit: int, code: str) -> AsyncGenerator[bytes, None]:
+    too_large = ProblemError(code, f"at most {limit} bytes")
+    length = request.headers.get("content-length", "0")
+    if length.isdecimal() and int(length[:20]) > limit:
+        raise too_large
+    read_bytes = 0
+    async for part in request.stream():
+        read_bytes += len(part)
+        if read_bytes > limit:
+            raise too_large
+        if part:
+            yield part
+
+
+def _map(kind: str, data: bytes) -> dict[str, Any]:
+    try:
+        told = from_json(data) if kind == JSON else from_msgpack(data)
+    except Unreadable as unreadable:
+        raise ProblemError("bad-request", str(unreadable)) from unreadable
+    if not isinstance(told, dict):
+        raise ProblemError("bad-request", "the body is a map")
+    return told
+
+
+async def _form(request: Request, settings: Settings) -> Upload:
+    class Parser(MultiPartParser):
+        spool_max_size = settings.max_frame_bytes + ENVELOPE_BYTES  # frames never touch a disk
+
+    body = _bounded(request, settings.max_frame_bytes + ENVELOPE_BYTES, "body-too-large")
+    parser = Parser(request.headers, body, max_files=1, max_fields=8, max_part_size=ENVELOPE_BYTES)
+    try:
+        async with _in_time(settings):
+            form = await parser.parse()
+    except (MultiPartException, KeyError, ValueError) as broken:
+        raise ProblemError("bad-request", "not a multipart form of the kind that is read here") from broken
+    told: dict[str, Any] = {}
+    frame: bytes | None = None
+    for name, value in form.multi_items():
+        if name in told or (name == "frame" and frame is not None):
+            raise ProblemError("bad-request", f"{name[:40]} is given twice")
+        if name == "frame" and isinstance(value, UploadFile):
+            frame = await value.read()
+            await value.close()
+        elif isinstance(value, str):
+            told[name] = _form_field(name, value)
+        else:
+            raise ProblemError("bad-request", f"{name[:40]} is not a file")
+    if frame is None:
+        raise ProblemError("bad-request", "frame is a file of the form")
+    return Upload(_sized(frame, settings), told)
+
+
+def _form_field(name: str, text: str) -> Any:
+    if name == "box" and not text.lstrip().startswith("["):
+        return numbers(name, text)
+    if name in ("box", "boxes", "options"):
+        try:
+            return from_json(text)
+        except Unreadable as unreadable:
+            raise ProblemError("bad-request", f"{name}: {unreadable}") from unreadable
+    return text
+
+
+def numbers(name: str, text: str) -> list[float]:
+    """``x,y,w,h`` as it stands in a form or a query."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise ProblemError("bad-request", f"{name} is x,y,w,h") from None
+
+
+def _from_base64(text: Any, settings: Settings) -> bytes:
+    if not isinstance(text, str):
+        raise ProblemError("bad-request", "frame is the image in base64")
+    if len(text) * 3 // 4 > settings.max_json_frame_bytes + 2:
+        raise ProblemError("frame-too-large", f"at most {settings.max_json_frame_bytes} bytes in JSON")
+    try:
+        return base64.b64decode(text, validate=True)
+    except (binascii.Error, ValueError):
+        raise ProblemError("bad-request", "frame is the image in base64") from None
+
+
+def _sized(frame: bytes, settings: Settings) -> bytes:
+    if len(frame) > settings.max_frame_bytes:
+        raise ProblemError("frame-too-large", f"{len(frame)} bytes; at most {settings.max_frame_bytes}")
+    return frame

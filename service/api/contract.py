@@ -1,0 +1,291 @@
+"""What each call's entry in the OpenAPI document says beyond its parameters."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import Any
+
+from ..problems import CATALOGUE, MEDIA_TYPE
+from ..schemas import examples
+from .bodies import FORM, JSON, MSGPACK
+from .bodies import SNAPSHOT as SNAPSHOT_TYPE
+
+ANY_CALL = ("unauthenticated", "origin-refused", "rate-limited", "internal")
+WITH_BODY = ("bad-request", "body-too-large", "unsupported-media-type", "deadline-exceeded")
+ON_SESSION = ("session-not-found", "session-gone")
+IN_LANE = ("deadline-exceeded",)
+NEGOTIATED = ("not-acceptable",)
+RETRY_AFTER = {"Retry-After": {"description": "seconds", "schema": {"type": "integer", "minimum": 1}}}
+BINARY = {"type": "string", "format": "binary"}
+IMAGE = {"type": "string", "format": "binary", "description": "JPEG, PNG or WebP"}
+KEY = {
+    "name": "Idempotency-Key",
+    "in": "header",
+    "required": False,
+    "description": "the same key and body within ten minutes answers with the same session",
+    "schema": {"type": "string", "minLength": 1, "maxLength": 255, "pattern": "^[!-~]+$"},
+}
+
+
+def ref(name: str) -> dict[str, str]:
+    """A reference to a schema."""
+    return {"$ref": f"#/components/schemas/{name}"}
+
+
+def problems(*codes: str) -> dict[int, dict[str, Any]]:
+    """The responses of ``codes``, by status."""
+    by_status: defaultdict[int, list[str]] = defaultdict(list)
+    for code in dict.fromkeys(codes):
+        by_status[CATALOGUE[code].status].append(code)
+    return {
+        status: {
+            "description": "; ".join(f"`{code}`: {CATALOGUE[code].title}" for code in here),
+            "content": {
+                MEDIA_TYPE: {
+                    "schema": ref("Problem"),
+                    "examples": {code: {"value": examples.problem(code)} for code in here},
+                }
+            },
+            **({"headers": RETRY_AFTER} if status in (429, 503) else {}),
+        }
+        for status, here in sorted(by_status.items())
+    }
+
+
+def content(schema: str, example: Any) -> dict[str, Any]:
+    """An answer in JSON or MessagePack."""
+    media = {"schema": ref(schema), "example": example}
+    return {JSON: media, MSGPACK: media}
+
+
+def _call(
+    status: int, told: dict[str, Any], *codes: str, body: dict[str, Any] | None = None, **more: Any
+) -> dict[str, Any]:
+    extra = dict(more)
+    if body is not None:
+        extra["requestBody"] = {"required": True, "content": body}
+    return {"responses": {status: told, **problems(*codes)}, "openapi_extra": extra}
+
+
+def _session_answer(description: str) -> dict[str, Any]:
+    return {"description": description, "content": content("Session", examples.SESSION)}
+
+
+_BOX_TEXT = {
+    "type": "string",
+    "description": "`x,y,w,h` or a JSON array",
+    "pattern": r"^\d{1,4},\d{1,4},[1-9]\d{0,3},[1-9]\d{0,3}$",
+}
+_OPTIONS = ref("Options")
+_FORM_BODY = {
+    "schema": {
+        "type": "object",
+        "properties": {
+            "frame": IMAGE,
+            "box": _BOX_TEXT,
+            "boxes": {
+                "type": "array",
+                "items": ref("Box"),
+                "minItems": 1,
+                "description": "a JSON array of boxes",
+            },
+            "options": _OPTIONS,
+        },
+        "required": ["frame"],
+        "additionalProperties": False,
+        "oneOf": [{"required": ["box"]}, {"required": ["boxes"]}],
+    },
+    "encoding": {
+        "frame": {"contentType": "image/jpeg, image/png, image/webp"},
+        "boxes": {"contentType": JSON},
+        "options": {"contentType": JSON},
+    },
+    "example": {"frame": "(the image)", "box": "198,214,34,81", "options": {"preset": "default"}},
+}
+_MAP_BODY = {
+    "schema": {
+        "type": "object",
+        "properties": {
+            "frame": {
+                "type": "string",
+                "format": "byte",
+                "description": "the image: base64 in JSON, bin in MessagePack",
+            },
+            "box": ref("Box"),
+            "boxes": {"type": "array", "items": ref("Box"), "minItems": 1},
+            "options": _OPTIONS,
+        },
+        "required": ["frame"],
+        "additionalProperties": False,
+        "oneOf": [{"required": ["box"]}, {"required": ["boxes"]}],
+    },
+    "example": examples.CREATE,
+}
+
+CREATE_SESSION = _call(
+    201,
+    _session_answer("the session, with its first frame tracked")
+    | {"headers": {"Location": {"description": "the session", "schema": {"type": "string"}}}},
+    *ANY_CALL,
+    *WITH_BODY,
+    *NEGOTIATED,
+    "frame-too-large",
+    "unsupported-image",
+    "frame-undecodable",
+    "bad-box",
+    "bad-snapshot",
+    "too-many-targets",
+    "at-capacity",
+    "draining",
+    body={
+        FORM: _FORM_BODY,
+        JSON: _MAP_BODY,
+        MSGPACK: _MAP_BODY,
+        SNAPSHOT_TYPE: {"schema": BINARY, "example": "(what /snapshot gave)"},
+    },
+    parameters=[KEY],
+)
+LIST_SESSIONS = _call(
+    200,
+    {"description": "a page of sessions", "content": content("SessionPage", examples.PAGE)},
+    *ANY_CALL,
+    *NEGOTIATED,
+    "bad-request",
+)
+GET_SESSION = _call(200, _session_answer("the session"), *ANY_CALL, *NEGOTIATED, *ON_SESSION)
+DELETE_SESSION = _call(204, {"description": "ended"}, *ANY_CALL, "session-not-found")
+_FRAME_MAP = {
+    "schema": {
+        "type": "object",
+        "properties": {
+            "frame": {"type": "string", "format": "byte"},
+            "seq": ref("Seq"),
+            "ts": ref("Echo"),
+            "region": ref("Region"),
+        },
+        "required": ["frame"],
+        "additionalProperties": False,
+    },
+    "example": {"frame": examples.CREATE["frame"], "seq": 17, "ts": 1712.5},
+}
+_FRAME_FORM = {
+    "schema": {
+        "type": "object",
+        "properties": {"frame": IMAGE},
+        "required": ["frame"],
+        "additionalProperties": False,
+    },
+    "encoding": {"frame": {"contentType": "image/jpeg, image/png, image/webp"}},
+    "example": {"frame": "(the image)"},
+}
+_RAW_FRAME = {"schema": IMAGE, "example": "(the image)"}
+POST_FRAME = _call(
+    200,
+    {"description": "where the targets are", "content": content("Result", examples.RESULT)},
+    *ANY_CALL,
+    *WITH_BODY,
+    *NEGOTIATED,
+    *ON_SESSION,
+    "attached-elsewhere",
+    "stale-frame",
+    "frame-too-large",
+    "unsupported-image",
+    "frame-undecodable",
+    "frame-size-changed",
+    "bad-region",
+    "over-credit",
+    body={
+        "image/jpeg": _RAW_FRAME,
+        "image/png": _RAW_FRAME,
+        "image/webp": _RAW_FRAME,
+        "application/octet-stream": _RAW_FRAME,
+        FORM: _FRAME_FORM,
+        MSGPACK: _FRAME_MAP,
+        JSON: _FRAME_MAP,
+    },
+)
+_BOX_BODY = {"schema": ref("BoxBody"), "example": {"box": examples.BOX}}
+_BOX_PROBLEMS = (*ANY_CALL, *WITH_BODY, *NEGOTIATED, *ON_SESSION, "bad-box", "full-frame-needed")
+_TARGET_ANSWER = {"content": content("TargetAnswer", examples.TARGET_ANSWER)}
+ADD_TARGET = _call(
+    201,
+    {"description": "started on the newest frame", **_TARGET_ANSWER},
+    *_BOX_PROBLEMS,
+    "too-many-targets",
+    body={JSON: _BOX_BODY, MSGPACK: _BOX_BODY},
+)
+CORRECT_TARGET = _call(
+    200,
+    {"description": "started anew on the newest frame", **_TARGET_ANSWER},
+    *_BOX_PROBLEMS,
+    "target-not-found",
+    body={JSON: _BOX_BODY, MSGPACK: _BOX_BODY},
+)
+REMOVE_TARGET = _call(
+    204, {"description": "removed"}, *ANY_CALL, *ON_SESSION, *IN_LANE, "bad-request", "target-not-found"
+)
+TRAJECTORY = _call(
+    200,
+    {
+        "description": "tracked frames by rising `seq`, streamed",
+        "content": content("TrajectoryAnswer", examples.TRAJECTORY)
+        | {
+            "text/csv": {"schema": {"type": "string"}, "example": examples.TRAJECTORY_TEXT["csv"]},
+            "text/plain": {
+                "schema": {"type": "string"},
+                "examples": {name: {"value": examples.TRAJECTORY_TEXT[name]} for name in ("otb", "mot")},
+            },
+        },
+    },
+    *ANY_CALL,
+    *NEGOTIATED,
+    *ON_SESSION,
+    "bad-request",
+)
+SNAPSHOT = _call(
+    200,
+    {
+        "description": "the session",
+        "content": {SNAPSHOT_TYPE: {"schema": BINARY, "example": "(signed bytes)"}},
+    },
+    *ANY_CALL,
+    *NEGOTIATED,
+    *ON_SESSION,
+    *IN_LANE,
+)
+_TICKET_BODY = {"schema": ref("TicketBody"), "example": {"ttl_s": 30}}
+TICKET = _call(
+    201,
+    {"description": "one handshake", "content": content("TicketAnswer", examples.TICKET)},
+    *ANY_CALL,
+    *WITH_BODY,
+    *NEGOTIATED,
+    *ON_SESSION,
+    requestBody={"required": False, "content": {JSON: _TICKET_BODY, MSGPACK: _TICKET_BODY}},
+)
+CAPABILITIES = _call(
+    200,
+    {"description": "what this service can do", "content": content("Capabilities", examples.CAPABILITIES)},
+    *ANY_CALL,
+    *NEGOTIATED,
+)
+_HEALTH = {"content": {JSON: {"schema": ref("Health"), "example": examples.HEALTH}}}
+LIVEZ = _call(200, {"description": "the process answers", **_HEALTH}, "origin-refused", "internal")
+READYZ = _call(
+    200,
+    {"description": "new sessions are welcome", **_HEALTH},
+    "origin-refused",
+    "internal",
+    "at-capacity",
+    "draining",
+)
+METRICS = _call(
+    200,
+    {
+        "description": "the metrics",
+        "content": {"text/plain": {"schema": {"type": "string"}, "example": examples.METRICS}},
+    },
+    "origin-refused",
+    "internal",
+    "unauthenticated",
+)

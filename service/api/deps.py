@@ -1,0 +1,48 @@
+"""What calls are given: the service, who is asking, the media type of the answer."""
+
+from __future__ import annotations
+
+import time
+from typing import Annotated
+
+from fastapi import Depends
+from starlette.requests import Request
+
+from ..problems import ProblemError
+from ..service import Service
+from ..sessions.bucket import Bucket
+from ..sessions.session import Session
+from .answers import chosen_type
+from .bodies import JSON, MSGPACK
+
+
+def _service(request: Request) -> Service:
+    service: Service = request.app.state.service
+    return service
+
+
+ServiceDep = Annotated[Service, Depends(_service)]
+
+
+def _caller(request: Request, service: ServiceDep) -> str:
+    owner = service.gate.owner(request.headers)
+    now = time.monotonic()
+    bucket = service.buckets.setdefault(owner, Bucket(service.settings.max_requests_per_s, now))
+    if wait_s := bucket.take(now):
+        raise ProblemError("rate-limited", "too many calls", retry_after_s=round(wait_s, 3))
+    return owner
+
+
+def _accepted(request: Request) -> str:
+    return chosen_type(request, JSON, MSGPACK)
+
+
+Caller = Annotated[str, Depends(_caller)]
+Accepted = Annotated[str, Depends(_accepted)]
+
+
+def _session(service: ServiceDep, caller: Caller, session_id: str) -> Session:
+    return service.book.find(caller, session_id)
+
+
+SessionDep = Annotated[Session, Depends(_session)]

@@ -1,0 +1,53 @@
+"""Every failure of a call to a problem of the catalogue, without a word of what went on inside."""
+
+from __future__ import annotations
+
+import structlog
+from fastapi import FastAPI
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
+
+from ..problems import CATALOGUE, ProblemError
+from .answers import problem_response
+
+BY_STATUS = {404: "not-found", 405: "method-not-allowed", 413: "body-too-large"}
+
+log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.http")
+
+
+def install(app: FastAPI) -> None:
+    """Make ``app`` answer failures with problems."""
+    app.add_exception_handler(ProblemError, _problem)
+    app.add_exception_handler(RequestValidationError, _validation)
+    app.add_exception_handler(HTTPException, _http)
+    app.add_exception_handler(Exception, _fault)
+
+
+async def _problem(request: Request, problem: Exception) -> Response:
+    assert isinstance(problem, ProblemError)
+    if problem.code == "internal":
+        problem.members["request_id"] = request.state.request_id
+    request.state.problem = problem
+    return problem_response(problem)
+
+
+async def _validation(request: Request, wrong: Exception) -> Response:
+    assert isinstance(wrong, RequestValidationError)
+    first = wrong.errors()[0]
+    place = ".".join(str(part)[:40] for part in first["loc"])
+    return await _problem(request, ProblemError("bad-request", f"{place}: {first['msg']}"))
+
+
+async def _http(request: Request, failed: Exception) -> Response:
+    assert isinstance(failed, HTTPException)
+    code = BY_STATUS.get(failed.status_code, "bad-request")
+    problem = ProblemError(code, CATALOGUE[code].example)
+    problem.headers.update(failed.headers or {})
+    return await _problem(request, problem)
+
+
+async def _fault(request: Request, fault: Exception) -> Response:
+    log.error("fault in a call", exc_info=fault)
+    return await _problem(request, ProblemError("internal", CATALOGUE["internal"].example))

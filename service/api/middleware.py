@@ -1,0 +1,127 @@
+"""Around every call: a request id, the browser's origin, one log line, the time it took."""
+
+from __future__ import annotations
+
+import re
+import secrets
+import time
+from typing import Any
+
+import structlog
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from ..problems import ProblemError
+from ..service import Service
+from .answers import problem_response
+
+SANE_ID = re.compile(r"[A-Za-z0-9._:/+=-]{1,128}")
+QUIET = {"/livez", "/readyz", "/metrics"}
+SAFE_HEADERS = (
+    ("X-Content-Type-Options", "nosniff"),
+    ("Cache-Control", "no-store"),
+    ("Referrer-Policy", "no-referrer"),
+)
+EXPOSED = "Location, Retry-After, X-Request-ID"
+
+log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.http")
+
+
+class Surroundings:
+    """Pure ASGI, so that a stream of frames is not touched by it."""
+
+    def __init__(self, app: ASGIApp, service: Service) -> None:
+        self._app, self._service = app, service
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one connection's scope."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        given = headers.get("x-request-id", "")
+        request_id = given if SANE_ID.fullmatch(given) else secrets.token_hex(8)
+        scope.setdefault("state", {})["request_id"] = request_id
+        structlog.contextvars.clear_contextvars()
+        structlog.contextvars.bind_contextvars(request_id=request_id)
+        if scope["type"] == "websocket":
+            await self._app(scope, receive, _with_id(send, request_id))
+        else:
+            await self._http(scope, receive, send, headers, request_id)
+
+    async def _http(self, scope: Scope, receive: Receive, send: Send, headers: Headers, request_id: str) -> None:
+        began = time.monotonic()
+        status = 0
+
+        async def answer(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                told = MutableHeaders(raw=message.setdefault("headers", []))
+                told["X-Request-ID"] = request_id
+                for name, value in SAFE_HEADERS:
+                    told.setdefault(name, value)
+                self._cors(headers, told)
+            await send(message)
+
+        try:
+            self._service.gate.check_origin(headers)
+            if scope["method"] == "OPTIONS" and "access-control-request-method" in headers:
+                await _preflight(headers)(scope, receive, answer)
+            else:
+                await self._app(scope, receive, answer)
+        except ProblemError as refused:
+            scope["state"]["problem"] = refused
+            await problem_response(refused)(scope, receive, answer)
+        finally:
+            self._record(scope, status, time.monotonic() - began)
+
+    def _cors(self, asked: Headers, told: MutableHeaders) -> None:
+        if (origin := asked.get("origin")) is not None:
+            told.add_vary_header("Origin")
+            if self._service.gate.allows(origin.lower(), asked.get("host", "").lower()):
+                told["Access-Control-Allow-Origin"] = origin
+                told["Access-Control-Expose-Headers"] = EXPOSED
+
+    def _record(self, scope: Scope, status: int, took_s: float) -> None:
+        # The template, not the path: a session's id is neither a label nor a line of every call.
+        path = getattr(scope.get("route"), "path", "other")
+        if scope["path"].startswith("/v1/") and path != "other":
+            path = "/v1" + path.removeprefix("/v1")
+        metrics = self._service.metrics
+        metrics.requests.labels(method=_known(scope["method"]), path=path, status=status).inc()
+        metrics.request_seconds.observe(took_s)
+        line: dict[str, Any] = {"method": scope["method"], "path": path, "status": status}
+        if session := scope.get("path_params", {}).get("session_id"):
+            line["session"] = session[:64]
+        problem = scope["state"].get("problem")
+        if problem is not None:
+            metrics.problems.labels(code=problem.code).inc()
+            line |= {"code": problem.code, "detail": problem.detail}
+        write = log.debug if path in QUIET else log.info
+        write("call", **line, ms=round(took_s * 1e3, 3))
+
+
+def _known(method: str) -> str:
+    return method if method in ("GET", "POST", "PUT", "DELETE", "HEAD", "OPTIONS", "PATCH") else "other"
+
+
+def _preflight(headers: Headers) -> Any:
+    return Response(
+        status_code=204,
+        headers={
+            "Access-Control-Allow-Methods": "GET, POST, PUT, DELETE",
+            "Access-Control-Allow-Headers": headers.get("access-control-request-headers", ""),
+            "Access-Control-Max-Age": "600",
+        },
+    )
+
+
+def _with_id(send: Send, request_id: str) -> Send:
+    async def answer(message: Message) -> None:
+        if message["type"] in ("websocket.accept", "websocket.http.response.start"):
+            MutableHeaders(raw=message.setdefault("headers", []))["X-Request-ID"] = request_id
+        await send(message)
+
+    return answer

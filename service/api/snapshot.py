@@ -1,0 +1,23 @@
+"""A whole session as signed bytes."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+from starlette.requests import Request
+from starlette.responses import Response
+
+from . import contract
+from .answers import chosen_type
+from .bodies import SNAPSHOT
+from .deps import ServiceDep, SessionDep
+
+router = APIRouter(tags=["snapshots"])
+
+
+@router.get("/sessions/{session_id}/snapshot", **contract.SNAPSHOT)
+async def get_snapshot(request: Request, service: ServiceDep, session: SessionDep) -> Response:
+    """All targets, `seq` and the newest frame, taken between two frames; post it to `/v1/sessions` to go on."""
+    chosen_type(request, SNAPSHOT)
+    data = await session.snapshot()
+    service.metrics.snapshot_bytes.observe(len(data))
+    return Response(data, media_type=SNAPSHOT)

@@ -1,0 +1,147 @@
+"""The handshake of a stream: who, which session, which subprotocol; then the attachment takes over."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+from urllib.parse import parse_qs
+
+import structlog
+from starlette.datastructures import Headers
+from starlette.types import Receive, Scope, Send
+
+from ..problems import ProblemError
+from ..service import Service
+from ..sessions.session import Session
+from ..stream.attachment import StreamAttachment
+from ..stream.codec import Codec, JsonCodec, MsgpackCodec
+from ..stream.flow import Flow, Mode
+from .answers import problem_response
+
+CLOSE_CODES = {
+    "unauthenticated": 4401,
+    "origin-refused": 4403,
+    "session-not-found": 4404,
+    "attached-elsewhere": 4409,
+    "session-gone": 4410,
+    "rate-limited": 4429,
+    "at-capacity": 1013,
+    "draining": 1013,
+    "bad-request": 4400,
+}
+ABORT_EXTENSION = "mfcmt.abort"
+
+log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.stream")
+
+
+class StreamEndpoint:
+    """The ASGI application behind ``/v1/sessions/{session_id}/stream``; raw, to keep frames off detours."""
+
+    def __init__(self, service: Service) -> None:
+        self._service = service
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one connection."""
+        headers = Headers(scope=scope)
+        await receive()  # websocket.connect
+        codec, selected = _codec(scope["subprotocols"], self._service.settings.max_body_bytes)
+        try:
+            session, mode = self._admit(scope, headers)
+        except ProblemError as problem:
+            await self._refuse(problem, codec, selected, scope, headers, receive, send)
+            return
+        settings = self._service.settings
+        superseded = self._service.metrics.frames_dropped.labels(reason="superseded").inc
+        attachment = StreamAttachment(
+            session,
+            codec,
+            Flow(mode, settings.credit_frames, superseded),
+            settings,
+            self._service.metrics,
+            receive,
+            send,
+            scope["extensions"].get(ABORT_EXTENSION, lambda: None),
+        )
+        if session.attachment is not None:
+            session.attachment.end(4409, "attached elsewhere")
+        session.attachment = attachment
+        structlog.contextvars.bind_contextvars(session=session.id)
+        await send({"type": "websocket.accept", "subprotocol": selected})
+        await session.settled()
+        log.info("stream attached", mode=mode, subprotocol=codec.name, seq=session.seq)
+        await attachment.run(self._ready(session, mode, attachment.name, scope, headers))
+        log.info("stream detached", seq=session.seq)
+
+    def _admit(self, scope: Scope, headers: Headers) -> tuple[Session, Mode]:
+        """The session that may be attached to, whatever is attached now. Raises ProblemError."""
+        service = self._service
+        service.gate.check_origin(headers)
+        sid = scope["path_params"]["session_id"]
+        owner = service.gate.redeem(scope["subprotocols"], sid) or service.gate.owner(headers)
+        if service.book.draining:
+            raise ProblemError("draining", "the service is going away", retry_after_s=service.settings.drain_grace_s)
+        query = parse_qs(scope["query_string"].decode("latin-1"))
+        mode = query.get("mode", ["latest"])[-1]
+        if mode not in ("latest", "lossless"):
+            raise ProblemError("bad-request", "mode is latest or lossless")
+        takeover = query.get("takeover", ["false"])[-1]
+        if takeover not in ("true", "false"):
+            raise ProblemError("bad-request", "takeover is true or false")
+        session = service.book.find(owner, sid)
+        standing = session.attachment
+        if standing is not None and takeover == "false" and query.get("resume") != [standing.name]:
+            raise ProblemError("attached-elsewhere", "a stream is attached")
+        return session, cast(Mode, mode)
+
+    def _ready(self, session: Session, mode: Mode, name: str, scope: Scope, headers: Headers) -> dict[str, Any]:
+        settings = self._service.settings
+        base = f"{scope['scheme']}://{headers.get('host', '')}"
+        return {
+            "type": "ready",
+            "session": self._service.describe(session, base),
+            "mode": mode,
+            "credit": settings.credit_frames if mode == "lossless" else None,
+            "region_lag": settings.region_lag_frames,
+            "next_seq": session.last_number + 1,
+            "attachment": name,
+        }
+
+    async def _refuse(
+        self,
+        problem: ProblemError,
+        codec: Codec,
+        selected: str | None,
+        scope: Scope,
+        headers: Headers,
+        receive: Receive,
+        send: Send,
+    ) -> None:
+        self._service.metrics.problems.labels(code=problem.code).inc()
+        log.info("stream refused", code=problem.code)
+        if "origin" not in headers and "websocket.http.response" in scope["extensions"]:
+            response = problem_response(problem)
+            await send(
+                {
+                    "type": "websocket.http.response.start",
+                    "status": response.status_code,
+                    "headers": response.raw_headers,
+                }
+            )
+            await send({"type": "websocket.http.response.body", "body": response.body})
+            return
+        # A browser's script cannot see the status of a refused handshake, but it sees this.
+        await send({"type": "websocket.accept", "subprotocol": selected})
+        await send(codec.write({"type": "error", "problem": problem.body()}))
+        code = CLOSE_CODES.get(problem.code, 1011)
+        await send({"type": "websocket.close", "code": code, "reason": problem.code})
+        while (await receive())["type"] != "websocket.disconnect":
+            pass
+
+
+def _codec(offered: list[str], max_text_bytes: int) -> tuple[Codec, str | None]:
+    """The first subprotocol of ours that is offered, and what the handshake says; JSON without any."""
+    for name in offered:
+        if name == MsgpackCodec.name:
+            return MsgpackCodec(), name
+        if name == JsonCodec.name:
+            return JsonCodec(max_text_bytes), name
+    return JsonCodec(max_text_bytes), None

@@ -1,0 +1,127 @@
+"""The application, built from its settings and from nothing else."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import secrets
+import time
+from collections.abc import AsyncIterator, Callable
+from typing import Any
+
+import structlog
+from fastapi import FastAPI
+from starlette.routing import WebSocketRoute
+
+from .api import (
+    capabilities,
+    docs,
+    errors,
+    frames,
+    health,
+    openapi,
+    sessions,
+    snapshot,
+    targets,
+    ticket,
+    trajectory,
+)
+from .api.middleware import Surroundings
+from .api.stream import StreamEndpoint
+from .auth import Gate
+from .lanes.interface import Lanes
+from .lanes.pool import LanePool
+from .observability.lag import watch_lag
+from .observability.metrics import Metrics
+from .service import Service
+from .sessions.book import SessionBook
+from .settings import Settings
+
+log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.app")
+
+
+def create_app(
+    settings: Settings | None = None,
+    *,
+    lanes: Lanes | None = None,
+    clock: Callable[[], float] = time.monotonic,
+) -> FastAPI:
+    """The service as an ASGI application; ``app.state.service`` holds its parts.
+
+    ``lanes`` replaces the worker processes, ``clock`` the monotonic clock of expiry; tests do so.
+    """
+    settings = settings or Settings()
+    metrics = Metrics()
+    lanes = lanes or local_lanes(settings)
+    book = SessionBook(settings, lanes, metrics, clock)
+    service = Service(settings, lanes, book, Gate(settings, clock), metrics)
+    metrics.observe_service(book.__len__, settings.capacity, lanes.status)
+
+    app = FastAPI(
+        title="MFCMT",
+        lifespan=_lifespan,
+        openapi_url=None,
+        docs_url=None,
+        redoc_url=None,
+        redirect_slashes=False,
+    )
+    app.state.service = service
+    for module in (sessions, frames, targets, trajectory, snapshot, ticket, capabilities):
+        app.include_router(module.router, prefix="/v1")
+    for module in (health, docs):
+        app.include_router(module.router)
+    app.router.routes.append(WebSocketRoute("/v1/sessions/{session_id}/stream", StreamEndpoint(service)))
+    app.add_middleware(Surroundings, service=service)
+    errors.install(app)
+    openapi.install(app, authenticated=bool(settings.api_keys))
+    app.state.documents = docs.Documents.of(app)
+    return app
+
+
+def local_lanes(settings: Settings) -> LanePool:
+    """Worker processes on this machine."""
+    keys = [key.get_secret_value().encode() for key in settings.signing_keys]
+    config: dict[str, Any] = {
+        "frame_limits": {
+            "max_bytes": settings.max_frame_bytes,
+            "max_pixels": settings.max_frame_pixels,
+            "max_side": settings.max_frame_side_px,
+            "max_scans": settings.max_frame_scans,
+        },
+        "max_targets": settings.max_targets_per_session,
+        "region_lag": settings.region_lag_frames,
+        "signing_keys": keys or [secrets.token_bytes(32)],
+    }
+    return LanePool(
+        settings.lanes,
+        settings.max_sessions_per_lane,
+        config,
+        deadline_s=settings.operation_deadline_s,
+        start_timeout_s=settings.lane_start_timeout_s,
+    )
+
+
+@contextlib.asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    service: Service = app.state.service
+    settings = service.settings
+    if not settings.signing_keys:
+        log.warning("no MFCMT_SIGNING_KEYS: snapshots are good until this process ends")
+    if not settings.api_keys and not settings.on_loopback:
+        log.warning("listening beyond loopback without keys: everyone shares all sessions", host=settings.host)
+    await service.lanes.start()
+    keepers = [
+        asyncio.create_task(work)
+        for work in (
+            service.book.keep(),
+            service.book.follow_lanes(),
+            watch_lag(service.metrics.loop_lag_seconds),
+        )
+    ]
+    try:
+        yield
+    finally:
+        for keeper in keepers:
+            keeper.cancel()
+        await asyncio.gather(*keepers, return_exceptions=True)
+        await service.lanes.stop()

@@ -1,0 +1,67 @@
+"""``mfcmt serve``: run the tracking service."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+from pydantic import ValidationError
+from pydantic.fields import FieldInfo
+
+from mfcmt_core.cli import UsageError
+
+from ..settings import Settings
+
+FLAGS = ("host", "port", "lanes", "log_format", "log_level")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments; the help lists every setting."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    for name in FLAGS:
+        field = Settings.model_fields[name]
+        parser.add_argument(f"--{name.replace('_', '-')}", dest=name, help=field.description, metavar="VALUE")
+    lines = [f"  {_variable(name)}{_default(field)}\n      {field.description}" for name, field in _fields()]
+    parser.epilog = "Settings, from the environment; an argument above goes before its variable.\n\n" + "\n".join(lines)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until a signal; the first drains, the second stops at once."""
+    given = {name: value for name in FLAGS if (value := getattr(args, name)) is not None}
+    try:
+        settings = Settings(**given)
+    except ValidationError as wrong:
+        raise UsageError("; ".join(_told(error) for error in wrong.errors(include_input=False))) from None
+
+    from ..app import create_app
+    from ..observability import logs
+    from ..server import make_server
+
+    logs.configure(settings.log_format, settings.log_level)
+    server = make_server(create_app(settings))
+    try:
+        server.run()
+    except SystemExit as failed:
+        # uvicorn has logged why: an address in use, a part that did not start.
+        print("mfcmt serve: could not start", file=sys.stderr)
+        return int(failed.code or 1)
+    return 0
+
+
+def _fields() -> list[tuple[str, FieldInfo]]:
+    return list(Settings.model_fields.items())
+
+
+def _variable(name: str) -> str:
+    return f"MFCMT_{name.upper()}"
+
+
+def _default(field: FieldInfo) -> str:
+    value: Any = field.get_default(call_default_factory=True)
+    return "" if value in (None, "", ()) else f"={value}"
+
+
+def _told(error: Any) -> str:
+    name = _variable(str(error["loc"][0])) if error["loc"] else "settings"
+    return f"{name}: {error['msg'].removeprefix('Value error, ')}"

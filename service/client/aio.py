@@ -1,0 +1,248 @@
+"""The asyncio client."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections.abc import AsyncIterable, AsyncIterator, Callable, Iterable, Mapping
+from typing import Any, Literal, Self, TypeVar, overload
+from weakref import WeakSet
+
+import httpx2
+import msgpack
+
+from .attach import Attachment
+from .connection import Address, Protocol, problem_of
+from .errors import ConnectionLost, Problem
+from .stream import AsyncStream
+from .types import Frame, Mode, Region, Result, SessionInfo, TargetChange, Ticket
+
+T = TypeVar("T")
+MSGPACK = "application/msgpack"
+SNAPSHOT = "application/vnd.mfcmt.snapshot"
+# A call that may be repeated is tried this often when the server cannot be reached.
+ATTEMPTS, RETRY_DELAY_S = 3, 0.1
+
+
+class AsyncClient:
+    """A client of one service. All calls raise :class:`Problem` and :class:`ConnectionLost`.
+
+    ``url`` is the service's base URL, ``key`` an API key, ``timeout_s`` the limit of one call.
+    """
+
+    def __init__(self, url: str = "http://127.0.0.1:8000", *, key: str | None = None, timeout_s: float = 30.0) -> None:
+        headers = {} if key is None else {"Authorization": f"Bearer {key}"}
+        self.address = Address(url.rstrip("/"), headers, timeout_s=timeout_s)
+        self._http = httpx2.AsyncClient(base_url=self.address.url, headers=headers, timeout=timeout_s)
+        self._streams: WeakSet[AsyncStream[Any]] = WeakSet()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.aclose()
+
+    async def aclose(self) -> None:
+        """Close what is open. Sessions live on until they are closed or time out."""
+        for stream in list(self._streams):
+            await stream.aclose()
+        await self._http.aclose()
+
+    async def create(
+        self,
+        frame: bytes,
+        box: Iterable[float] | None = None,
+        *,
+        boxes: Iterable[Iterable[float]] | None = None,
+        **options: Any,
+    ) -> AsyncSession:
+        """Start a session on the first frame with one ``box`` or several ``boxes``.
+
+        ``options`` are the protocol's: ``preset``, ``idle_timeout_s``, ``on_resize``, ``label``, ``maps``.
+        """
+        body: dict[str, Any] = {"frame": frame}
+        if box is not None:
+            body["box"] = [float(v) for v in box]
+        if boxes is not None:
+            body["boxes"] = [[float(v) for v in each] for each in boxes]
+        if options:
+            body["options"] = options
+        return await self._create(msgpack.packb(body), MSGPACK)
+
+    async def restore(self, snapshot: bytes) -> AsyncSession:
+        """Start a session where the one of the snapshot was."""
+        return await self._create(snapshot, SNAPSHOT)
+
+    async def session(self, session_id: str) -> AsyncSession:
+        """A session that exists."""
+        return AsyncSession(self, SessionInfo.of(await self.json("GET", f"/v1/sessions/{session_id}")))
+
+    async def sessions(self) -> AsyncIterator[SessionInfo]:
+        """The caller's own sessions."""
+        after = None
+        while True:
+            page = await self.json("GET", "/v1/sessions", params={} if after is None else {"after": after})
+            for session in page["sessions"]:
+                yield SessionInfo.of(session)
+            after = page.get("next")
+            if after is None:
+                return
+
+    async def capabilities(self) -> dict[str, Any]:
+        """Limits, presets, image types and versions."""
+        return dict(await self.json("GET", "/v1/capabilities"))
+
+    async def json(self, method: str, path: str, **request: Any) -> Any:
+        """One HTTP call; the decoded answer."""
+        return (await self.call(method, path, **request)).json()
+
+    async def call(
+        self, method: str, path: str, *, headers: Mapping[str, str] | None = None, **request: Any
+    ) -> httpx2.Response:
+        """One HTTP call; repeated when the server cannot be reached and the call may be."""
+        headers = dict(headers or {})
+        attempts = ATTEMPTS if method != "POST" or "Idempotency-Key" in headers else 1
+        for attempt in range(1, attempts + 1):
+            try:
+                answer = await self._http.request(method, path, headers=headers, **request)
+            except httpx2.TransportError as failed:
+                if attempt == attempts:
+                    raise ConnectionLost(f"{self.address.url}: {failed or type(failed).__name__}") from failed
+                await asyncio.sleep(RETRY_DELAY_S * 2**attempt)
+            else:
+                break
+        if answer.is_success:
+            return answer
+        problem = problem_of(answer.status_code, answer.content)
+        if problem.retry_after_s is None and (after := answer.headers.get("Retry-After", "")).isdigit():
+            problem.retry_after_s = float(after)
+        raise problem
+
+    async def _create(self, body: bytes, media_type: str) -> AsyncSession:
+        headers = {"Content-Type": media_type, "Idempotency-Key": secrets.token_urlsafe(16)}
+        return AsyncSession(
+            self, SessionInfo.of(await self.json("POST", "/v1/sessions", content=body, headers=headers))
+        )
+
+    def _attached(self, stream: AsyncStream[T]) -> AsyncStream[T]:
+        self._streams.add(stream)
+        return stream
+
+
+class AsyncSession:
+    """One session; ``async with`` closes it at the end. ``info`` is what the server last said of it."""
+
+    def __init__(self, client: AsyncClient, info: SessionInfo) -> None:
+        self._client = client
+        self._path = f"/v1/sessions/{info.id}"
+        self.info = info
+
+    @property
+    def id(self) -> str:
+        return self.info.id
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    async def refresh(self) -> SessionInfo:
+        """Ask the server for the session again."""
+        self.info = SessionInfo.of(await self._client.json("GET", self._path))
+        return self.info
+
+    async def close(self) -> None:
+        """End the session."""
+        await self._client.call("DELETE", self._path)
+
+    async def track(self, frame: bytes | Frame) -> Result:
+        """One frame over HTTP; streams are faster."""
+        frame = frame if isinstance(frame, Frame) else Frame(frame)
+        params = {"seq": frame.seq, "ts": frame.ts}
+        if frame.region is not None:
+            params["region"] = ",".join(map(str, frame.region))
+        return Result.of(
+            await self._client.json(
+                "POST",
+                f"{self._path}/frames",
+                content=frame.data,
+                params={name: value for name, value in params.items() if value is not None},
+                headers={"Content-Type": "application/octet-stream"},
+            )
+        )
+
+    async def add_target(self, box: Iterable[float]) -> TargetChange:
+        """Start another target on the newest frame."""
+        body = {"box": [float(v) for v in box]}
+        return TargetChange.of(await self._client.json("POST", f"{self._path}/targets", json=body))
+
+    async def correct_target(self, target: int, box: Iterable[float]) -> TargetChange:
+        """Put a target right on the newest frame."""
+        body = {"box": [float(v) for v in box]}
+        return TargetChange.of(await self._client.json("PUT", f"{self._path}/targets/{target}", json=body))
+
+    async def remove_target(self, target: int) -> None:
+        """Stop tracking a target."""
+        await self._client.call("DELETE", f"{self._path}/targets/{target}")
+
+    @overload
+    async def trajectory(
+        self, format: Literal["json"] = "json", *, after: int | None = None, target: int | None = None
+    ) -> list[Result]: ...
+
+    @overload
+    async def trajectory(
+        self, format: Literal["csv", "otb", "mot"], *, after: int | None = None, target: int | None = None
+    ) -> str: ...
+
+    async def trajectory(
+        self,
+        format: Literal["json", "csv", "otb", "mot"] = "json",
+        *,
+        after: int | None = None,
+        target: int | None = None,
+    ) -> list[Result] | str:
+        """All results so far, or those after a ``seq``: as results, or as text in a format of the field."""
+        params = {"format": format, "after": after, "target": target}
+        params = {name: value for name, value in params.items() if value is not None}
+        answer = await self._client.call("GET", f"{self._path}/trajectory", params=params)
+        if format != "json":
+            return answer.text
+        return [Result.of(result) for result in answer.json()["results"]]
+
+    async def snapshot(self) -> bytes:
+        """The session's whole state, for :meth:`AsyncClient.restore`."""
+        return (await self._client.call("GET", f"{self._path}/snapshot")).content
+
+    async def ticket(self, ttl_s: float | None = None) -> Ticket:
+        """A ticket that admits a browser's next handshake to this session."""
+        body = {} if ttl_s is None else {"ttl_s": ttl_s}
+        return Ticket.of(await self._client.json("POST", f"{self._path}/ticket", json=body))
+
+    def stream(
+        self,
+        frames: AsyncIterable[T] | Iterable[T] | None = None,
+        *,
+        mode: Mode = "latest",
+        encode: Callable[[T, Region | None], bytes] | None = None,
+        on_refused: Callable[[Problem], None] | None = None,
+        takeover: bool = False,
+        ticket: str | None = None,
+        protocol: Protocol = "mfcmt.v1.msgpack",
+        reconnect_for_s: float = 60.0,
+    ) -> AsyncStream[T]:
+        """Send ``frames`` (``bytes`` or :class:`Frame`) and iterate over what was found in them.
+
+        ``latest`` drops frames that newer ones overtake; ``lossless`` answers every one and sends no faster
+        than that. With ``encode(image, region)`` frames may be anything: it is called, in a thread, with
+        each of them and the part that is needed (None: the whole) and returns that part as an image; it
+        pays where bandwidth or decoding is dear. A broken connection is resumed for ``reconnect_for_s``
+        seconds at most. See :class:`AsyncStream` for the rest.
+        """
+        attachment = Attachment(self._client.address, self.id, mode, protocol, takeover, ticket, reconnect_for_s)
+
+        async def missed(after: int) -> list[Result]:
+            return await self.trajectory(after=after)
+
+        return self._client._attached(AsyncStream(attachment, frames, encode, on_refused, missed))

@@ -1,0 +1,312 @@
+"""A stream of frames and results that outlives its connections."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable, Iterable
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any, Generic, Self, TypeVar
+
+from .attach import Attachment
+from .connection import Connection
+from .errors import ClientError, ConnectionLost, Problem
+from .sources import each
+from .types import Draining, Frame, Ready, Region, Result, Targets
+
+T = TypeVar("T")
+
+# Results that may wait unread before no more frames are sent.
+MAX_UNREAD = 64
+# In `latest` a superseded frame is told by the next result only; where the last frame was refused there may
+# be none, so the end waits this long for it.
+LINGER_S = 2.0
+
+
+class AsyncStream(Generic[T]):
+    """An async iterator of results; made by :meth:`AsyncSession.stream`.
+
+    Iterating starts it and ends with the last frame's answer. ``async with`` also closes it when the loop is
+    left early. A frame that was refused is raised out of the iteration as a :class:`Problem`, unless
+    ``on_refused`` takes it; the stream goes on either way.
+    """
+
+    def __init__(
+        self,
+        attachment: Attachment,
+        frames: AsyncIterable[T] | Iterable[T] | None,
+        encode: Callable[[T, Region | None], bytes] | None,
+        on_refused: Callable[[Problem], None] | None,
+        missed: Callable[[int], Awaitable[list[Result]]],
+    ) -> None:
+        self._attachment = attachment
+        self._latest = attachment.mode == "latest"
+        self._frames = frames
+        self._encode = encode
+        self._on_refused = on_refused
+        self._missed = missed
+        self._connection: Connection | None = None
+        self._ready: Ready | None = None
+        self._up = asyncio.Event()
+        self._room = asyncio.Event()
+        self._arrived: asyncio.Queue[Result | ClientError | None] = asyncio.Queue()
+        self._unanswered: dict[int, tuple[T | None, Frame]] = {}
+        self._again: deque[T] = deque()
+        self._controls: dict[int, asyncio.Future[Targets]] = {}
+        self._refs = 0
+        self._next_seq = 0
+        self._last_seq = 0
+        self._exhausted = False
+        self._ended: ClientError | None = None
+        self._tasks: list[asyncio.Task[None]] = []
+        self._pause_s = 0.0
+        self.region: Region | None = None
+        """The part of the coming frames that is needed, as last told; None for the whole."""
+
+    @property
+    def ready(self) -> Ready:
+        """What the server said on attaching."""
+        if self._ready is None:
+            raise ConnectionLost("the stream has not started")
+        return self._ready
+
+    async def __aenter__(self) -> Self:
+        await self._start()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.aclose()
+
+    def __aiter__(self) -> AsyncIterator[Result]:
+        return self
+
+    async def __anext__(self) -> Result:
+        await self._start()
+        item = await self._arrived.get()
+        self._room.set()
+        if isinstance(item, Result):
+            return item
+        if item is not None:
+            raise item
+        self._arrived.put_nowait(None)
+        await self.aclose()
+        raise StopAsyncIteration
+
+    async def send(self, frame: bytes | Frame) -> int:
+        """Send one frame when there is credit for it; its ``seq``. For streams made without frames."""
+        await self._start()
+        await self._wait_for_room()
+        return await self._send(None, frame if isinstance(frame, Frame) else Frame(frame))
+
+    async def finish(self) -> None:
+        """No more frames will be sent: the iteration ends with the answers to those that were."""
+        self._exhausted = True
+        self._end_if_done()
+
+    async def add(self, box: Iterable[float], *, on_next: bool = False) -> Targets:
+        """Add a target on the newest frame, or on the next one. Raises :class:`Problem`."""
+        return await self._control({"type": "add", "box": list(box)}, on_next)
+
+    async def correct(self, target: int, box: Iterable[float], *, on_next: bool = False) -> Targets:
+        """Put a target right on the newest frame, or on the next one. Raises :class:`Problem`."""
+        return await self._control({"type": "correct", "target": target, "box": list(box)}, on_next)
+
+    async def remove(self, target: int) -> Targets:
+        """Remove a target. Raises :class:`Problem`."""
+        return await self._control({"type": "remove", "target": target}, False)
+
+    async def aclose(self) -> None:
+        """End the attachment; the session lives on."""
+        self._end(None)
+        tasks = [task for task in self._tasks if task is not asyncio.current_task()]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            await connection.close()
+
+    async def _start(self) -> None:
+        if self._tasks or self._ended:
+            return
+        connection, ready = await self._attachment.open()
+        self._next_seq, self._last_seq = ready.next_seq, ready.session.seq
+        self._stand(connection, ready)
+        self._tasks = [asyncio.create_task(self._run(connection))]
+        if self._frames is not None:
+            self._tasks.append(asyncio.create_task(self._pump(self._frames)))
+
+    async def _run(self, connection: Connection) -> None:
+        """Receive, and attach again whenever the connection breaks."""
+        try:
+            while True:
+                try:
+                    while True:
+                        self._dispatch(await connection.receive())
+                except ConnectionLost as lost:
+                    self._fall(lost)
+                pause_s, self._pause_s = self._pause_s, 0.0
+                connection, ready = await self._attachment.reopen(self.ready, pause_s)
+                await self._take_up(connection, ready)
+        except ClientError as end:
+            self._end(end)
+
+    async def _take_up(self, connection: Connection, ready: Ready) -> None:
+        """Go on after a break: fetch the results that were missed, send again what was not tracked."""
+        self._connection = connection
+        if any(seq <= ready.session.seq for seq in self._unanswered):
+            for result in await self._missed(self._last_seq):
+                self._dispatch(result)
+        again = [frame for _, frame in sorted(self._unanswered.items(), key=lambda item: item[0])]
+        if self._latest:
+            again = again[-1:]
+        self._unanswered.clear()
+        self._next_seq = max(self._next_seq, ready.next_seq)
+        for source, frame in again:
+            await self._send_on(connection, source, replace(frame, seq=None))
+        self._stand(connection, ready)
+        self._end_if_done()
+
+    def _stand(self, connection: Connection, ready: Ready) -> None:
+        self._connection, self._ready = connection, ready
+        self.region = ready.session.region
+        self._up.set()
+        self._room.set()
+
+    def _fall(self, lost: ConnectionLost) -> None:
+        self._connection = None
+        self._up.clear()
+        for future in self._controls.values():
+            if not future.done():
+                future.set_exception(lost)
+        self._controls.clear()
+
+    async def _pump(self, frames: AsyncIterable[T] | Iterable[T]) -> None:
+        source = each(frames)
+        try:
+            while True:
+                await self._wait_for_room()
+                if self._again:
+                    item, region = self._again.popleft(), None
+                elif self._exhausted:
+                    return
+                else:
+                    try:
+                        item = await anext(source)
+                    except StopAsyncIteration:
+                        await self.finish()
+                        continue
+                    region = self.region
+                await self._send(item, await self._encoded(item, region))
+        except ClientError as end:
+            self._end(end)
+        except Exception as broken:
+            self._end(ClientError(f"the frames broke off: {broken!r}"), broken)
+
+    async def _encoded(self, item: T, region: Region | None) -> Frame:
+        if self._encode is None:
+            if isinstance(item, Frame):
+                return item
+            if isinstance(item, bytes):
+                return Frame(item)
+            raise TypeError(f"a frame is bytes or Frame, not {type(item).__name__}; or give encode")
+        if region is not None and tuple(region) == (0, 0, *self.ready.session.size):
+            region = None
+        return Frame(await asyncio.to_thread(self._encode, item, region), region=region)
+
+    async def _wait_for_room(self) -> None:
+        while self._ended is None and not self._has_room():
+            self._room.clear()
+            await self._room.wait()
+
+    def _has_room(self) -> bool:
+        if self._exhausted and not self._again:
+            return not self._unanswered
+        credit = self.ready.credit
+        if credit is not None and self._encode is not None:
+            credit = 1  # a cut is sure to cover what is needed only when the frame before it is answered
+        return (credit is None or len(self._unanswered) < credit) and self._arrived.qsize() < MAX_UNREAD
+
+    async def _connected(self) -> Connection:
+        await self._up.wait()
+        if self._ended or self._connection is None:
+            raise self._ended or ConnectionLost("the stream has ended")
+        return self._connection
+
+    async def _send(self, source: T | None, frame: Frame) -> int:
+        return await self._send_on(await self._connected(), source, frame)
+
+    async def _send_on(self, connection: Connection, source: T | None, frame: Frame) -> int:
+        seq = self._next_seq if frame.seq is None else frame.seq
+        self._next_seq = seq + 1
+        frame = replace(frame, seq=seq)
+        self._unanswered[seq] = source, frame
+        with suppress(ClientError):  # the receiver sees it too and ends the stream or sends the frame again
+            await connection.send_frame(frame)
+        return seq
+
+    async def _control(self, control: dict[str, Any], on_next: bool) -> Targets:
+        await self._start()
+        connection = await self._connected()
+        self._refs += 1
+        ref = self._refs
+        answer = self._controls[ref] = asyncio.get_running_loop().create_future()
+        await connection.send_control(control | {"ref": ref} | ({"on": "next"} if on_next else {}))
+        done: Targets = await answer
+        return done
+
+    def _dispatch(self, message: object) -> None:
+        match message:
+            case Result():
+                self._last_seq = max(self._last_seq, message.seq)
+                self.region = message.region
+                if self._latest:
+                    for seq in [seq for seq in self._unanswered if seq <= message.seq]:
+                        del self._unanswered[seq]
+                else:
+                    self._unanswered.pop(message.seq, None)
+                self._arrived.put_nowait(message)
+            case Problem(ref=int(ref)) if ref in self._controls:
+                self._controls.pop(ref).set_exception(message)
+            case Problem():
+                self._refuse(message)
+            case Targets(ref=ref):
+                self.region = message.region
+                if ref in self._controls:
+                    self._controls.pop(ref).set_result(message)
+            case Draining():
+                self._pause_s = message.reconnect_in_s
+        self._room.set()
+        self._end_if_done()
+
+    def _refuse(self, problem: Problem) -> None:
+        source, _ = self._unanswered.pop(problem.seq, (None, None)) if problem.seq is not None else (None, None)
+        if problem.code == "bad-region" and self._encode is not None:
+            self.region = problem.region
+            if not self._latest and source is not None:
+                self._again.append(source)
+        elif self._on_refused is not None:
+            self._on_refused(problem)
+        else:
+            self._arrived.put_nowait(problem)
+
+    def _end_if_done(self) -> None:
+        if not self._exhausted or self._again:
+            return
+        if not self._unanswered:
+            self._end(None)
+        elif self._latest and self._next_seq - 1 not in self._unanswered:
+            asyncio.get_running_loop().call_later(LINGER_S, self._end, None)
+
+    def _end(self, why: ClientError | None, cause: BaseException | None = None) -> None:
+        if self._ended is not None:
+            return
+        self._ended = why or ConnectionLost("the stream has ended")
+        if why is not None:
+            why.__cause__ = why.__cause__ or cause
+            self._arrived.put_nowait(why)
+        self._arrived.put_nowait(None)
+        self._fall(ConnectionLost("the stream has ended"))
+        self._up.set()
+        self._room.set()

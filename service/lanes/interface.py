@@ -1,0 +1,80 @@
+"""What the front knows of lanes: bytes in, bytes out. A local pool implements it today, a cluster may."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+Buffers = Sequence[bytes | memoryview]
+
+
+class AtCapacity(Exception):
+    """No lane has a free place now."""
+
+
+class LaneLost(Exception):
+    """The lane of the key has died, or the key was released, before the call was answered."""
+
+
+class LaneHung(LaneLost):
+    """The same, because this very call took longer than the deadline."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeysLost:
+    """An event: a lane has died, and with it what it held for these keys."""
+
+    lane: int
+    cause: str
+    keys: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LaneReady:
+    """An event: a lane has started and takes keys."""
+
+    lane: int
+
+
+LaneEvent = KeysLost | LaneReady
+
+
+@dataclass(frozen=True, slots=True)
+class LaneStatus:
+    """A lane as the metrics show it: memory in bytes, CPU time in seconds since its process started."""
+
+    lane: int
+    ready: bool
+    keys: int
+    rss_bytes: int = 0
+    cpu_s: float = 0.0
+    versions: dict[str, str] = field(default_factory=dict)
+
+
+class Lanes(Protocol):
+    """A set of lanes; a key (a session) lives in one of them from ``reserve`` to ``release``."""
+
+    async def start(self) -> None:
+        """Begin to start all lanes; events tell when they are ready."""
+
+    async def stop(self) -> None:
+        """End all lanes."""
+
+    def reserve(self, key: str) -> None:
+        """Give ``key`` a place in the lane with the most room, now or never. Raises AtCapacity."""
+
+    async def call(self, key: str, request: Buffers) -> bytes:
+        """One operation in the key's lane: a MessagePack value there and one back, in the order of calls.
+
+        Raises LaneLost, LaneHung. Calls of different keys of a lane share its time fairly.
+        """
+
+    def release(self, key: str) -> None:
+        """Free the key's place at once; its lane forgets it before it takes another."""
+
+    def events(self) -> AsyncIterator[LaneEvent]:
+        """What happens to lanes, as it happens; for one reader."""
+
+    def status(self) -> list[LaneStatus]:
+        """Every lane."""

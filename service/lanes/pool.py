@@ -1,0 +1,145 @@
+"""The lanes of this machine: placement, replacement of what dies, and the watch over what hangs."""
+
+from __future__ import annotations
+
+import asyncio
+import atexit
+import contextlib
+import multiprocessing
+import time
+from collections.abc import AsyncIterator, Mapping
+from typing import Any
+
+from .interface import AtCapacity, Buffers, KeysLost, LaneEvent, LaneLost, LaneReady, LaneStatus
+from .process import LaneProcess
+from .usage import cpu_s, rss_bytes
+
+WATCH_EVERY_S = 0.1
+STOP_S = 2.0
+# A lane that lives shorter than this counts as a crash in a row; each doubles the wait for the next start.
+STEADY_S = 10.0
+FIRST_WAIT_S, LONGEST_WAIT_S = 0.1, 10.0
+
+
+class LanePool:
+    """``count`` worker processes with ``keys_per_lane`` places each (see :class:`~.interface.Lanes`)."""
+
+    def __init__(
+        self,
+        count: int,
+        keys_per_lane: int,
+        config: Mapping[str, Any],
+        *,
+        deadline_s: float,
+        start_timeout_s: float,
+    ) -> None:
+        self._keys_per_lane = keys_per_lane
+        self._config = config
+        self._deadline_s = deadline_s
+        self._start_timeout_s = start_timeout_s
+        self._lanes: list[LaneProcess] = [self._new(number) for number in range(count)]
+        self._crashes = [0] * count
+        self._homes: dict[str, LaneProcess] = {}
+        self._events: asyncio.Queue[LaneEvent] = asyncio.Queue()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._context = multiprocessing.get_context("forkserver")
+        self._stopping = False
+
+    async def start(self) -> None:
+        """Begin to start all lanes."""
+        self._context.set_forkserver_preload(["service.lanes.preload"])
+        # Without this an interpreter that ends without stop() would wait for its workers for ever.
+        atexit.register(self._kill_all)
+        for lane in self._lanes:
+            self._spawn(self._begin(lane))
+        self._spawn(self._watch())
+
+    async def stop(self) -> None:
+        """End all lanes."""
+        self._stopping = True
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await asyncio.gather(*(lane.stop(STOP_S) for lane in self._lanes))
+        atexit.unregister(self._kill_all)
+
+    def reserve(self, key: str) -> None:
+        """Give ``key`` a place in the emptiest lane. Raises AtCapacity."""
+        open_lanes = [lane for lane in self._lanes if lane.ready and len(lane.keys) < self._keys_per_lane]
+        if not open_lanes:
+            raise AtCapacity
+        lane = min(open_lanes, key=lambda lane: len(lane.keys))
+        lane.keys.add(key)
+        self._homes[key] = lane
+
+    async def call(self, key: str, request: Buffers) -> bytes:
+        """One operation in the key's lane. Raises LaneLost, LaneHung."""
+        lane = self._homes.get(key)
+        if lane is None:
+            raise LaneLost
+        return await lane.call(key, request)
+
+    def release(self, key: str) -> None:
+        """Free the key's place."""
+        lane = self._homes.pop(key, None)
+        if lane is not None:
+            lane.forget(key)
+
+    async def events(self) -> AsyncIterator[LaneEvent]:
+        """What happens to lanes; for one reader."""
+        while True:
+            yield await self._events.get()
+
+    def status(self) -> list[LaneStatus]:
+        """Every lane."""
+        return [
+            LaneStatus(lane.number, lane.ready, len(lane.keys), rss_bytes(lane.pid), cpu_s(lane.pid), lane.versions)
+            for lane in self._lanes
+        ]
+
+    def _new(self, number: int) -> LaneProcess:
+        return LaneProcess(number, on_ready=self._ready, on_lost=self._lost)
+
+    def _spawn(self, work: Any) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _begin(self, lane: LaneProcess, wait_s: float = 0.0) -> None:
+        await asyncio.sleep(wait_s)
+        try:
+            await lane.start(self._context, self._config)
+        except (OSError, EOFError):
+            lane.kill()
+            self._lost(lane, "start")
+
+    def _ready(self, lane: LaneProcess) -> None:
+        self._events.put_nowait(LaneReady(lane.number))
+
+    def _lost(self, lane: LaneProcess, cause: str) -> None:
+        if self._stopping:
+            return
+        lane.kill()  # a worker whose socket is gone may still be computing
+        for key in lane.keys:
+            del self._homes[key]
+        self._events.put_nowait(KeysLost(lane.number, cause, tuple(lane.keys)))
+        steady = time.monotonic() - lane.started_at > STEADY_S
+        self._crashes[lane.number] = 0 if steady else self._crashes[lane.number] + 1
+        crashes = self._crashes[lane.number]
+        wait_s = min(FIRST_WAIT_S * 2**crashes, LONGEST_WAIT_S) if crashes > 1 else 0.0
+        self._lanes[lane.number] = self._new(lane.number)
+        self._spawn(self._begin(self._lanes[lane.number], wait_s))
+
+    async def _watch(self) -> None:
+        while True:
+            await asyncio.sleep(WATCH_EVERY_S)
+            for lane in self._lanes:
+                if lane.overdue_s() > self._deadline_s:
+                    lane.kill(hung=True)
+                elif lane.pid and not lane.ready and time.monotonic() - lane.started_at > self._start_timeout_s:
+                    lane.kill()
+
+    def _kill_all(self) -> None:
+        for lane in self._lanes:
+            with contextlib.suppress(OSError):
+                lane.kill()

@@ -1,0 +1,177 @@
+"""One lane: a worker process, the socket to it, and the order in which calls go in."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from multiprocessing.context import ForkServerContext, ForkServerProcess
+from typing import Any, cast
+
+import msgpack
+
+from . import worker
+from .fair import FairQueue
+from .interface import Buffers, LaneHung, LaneLost
+from .wire import HELLO, NO_REPLY, Disorder, Splitter, encode_call, framed
+
+# While the lane works on one call the next is already in its socket, so that it never waits for the front.
+PIPELINE = 2
+
+
+@dataclass(slots=True)
+class Call:
+    """An operation on its way."""
+
+    key: str
+    request: Buffers
+    answer: asyncio.Future[bytes]
+
+
+class LaneProcess(asyncio.Protocol):
+    """From the start of a worker process to its end; never restarted, only replaced."""
+
+    def __init__(
+        self,
+        number: int,
+        *,
+        on_ready: Callable[[LaneProcess], None],
+        on_lost: Callable[[LaneProcess, str], None],
+    ) -> None:
+        self.number = number
+        self.keys: set[str] = set()
+        self.ready = False
+        self.lost = False
+        self.versions: dict[str, str] = {}
+        self.started_at = time.monotonic()
+        self._on_ready = on_ready
+        self._on_lost = on_lost
+        self._queue: FairQueue[Call] = FairQueue()
+        self._in_flight: deque[tuple[int, Call]] = deque()
+        self._working_since = 0.0
+        self._hung = False
+        self._calls = 0
+        self._splitter = Splitter()
+        self._transport: asyncio.WriteTransport | None = None
+        self._process: ForkServerProcess | None = None
+
+    async def start(self, context: ForkServerContext, config: Mapping[str, Any]) -> None:
+        """Fork the worker. The first fork waits for the fork server to load and warm the tracker."""
+        ours, theirs = socket.socketpair()
+        with theirs:
+            # multiprocessing pickles these arguments for its own child at the start; nothing is later.
+            process = context.Process(
+                target=worker.main, args=(theirs, dict(config)), name=f"mfcmt-lane-{self.number}", daemon=True
+            )
+            await asyncio.to_thread(process.start)
+        self._process = process
+        await asyncio.get_running_loop().create_unix_connection(lambda: self, sock=ours)
+
+    @property
+    def pid(self) -> int | None:
+        """The worker's process id."""
+        return self._process.pid if self._process else None
+
+    def call(self, key: str, request: Buffers) -> asyncio.Future[bytes]:
+        """Queue one operation; the future is its reply or LaneLost."""
+        answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
+        if self.lost:
+            answer.set_exception(LaneLost())
+        else:
+            self._queue.push(key, Call(key, request, answer))
+            self._dispatch()
+        return answer
+
+    def forget(self, key: str) -> None:
+        """Drop what the lane holds for ``key``, behind the operation that is in work."""
+        self.keys.discard(key)
+        for call in self._queue.forget(key):
+            _fail(call, LaneLost())
+        if self._transport is not None and not self.lost:
+            self._transport.writelines(framed(NO_REPLY, encode_call("drop", key, {})))
+
+    def overdue_s(self) -> float:
+        """Seconds since the operation in work began; 0 when there is none."""
+        return time.monotonic() - self._working_since if self._in_flight else 0.0
+
+    def kill(self, *, hung: bool = False) -> None:
+        """End the worker at once."""
+        self._hung = hung
+        if self._process is not None and self._process.pid is not None:
+            self._process.kill()
+
+    async def stop(self, timeout_s: float) -> None:
+        """Let the worker end by itself, or kill it after ``timeout_s``."""
+        if self._transport is not None:
+            self._transport.close()
+        if self._process is not None and self._process.pid is not None:
+            await asyncio.to_thread(self._process.join, timeout_s)
+            if self._process.is_alive():
+                self.kill()
+                await asyncio.to_thread(self._process.join, timeout_s)
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """The socket is ours; the worker will say hello."""
+        # Nothing is held back: what may be in the socket is bounded by PIPELINE.
+        self._transport = cast(asyncio.WriteTransport, transport)
+
+    def data_received(self, data: bytes) -> None:
+        """Replies."""
+        try:
+            for call, payload in self._splitter.feed(data):
+                if call == HELLO:
+                    self._hello(payload)
+                else:
+                    self._reply(call, payload)
+        except (Disorder, ValueError):
+            self.kill()
+
+    def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002
+        """The worker has died or was told to stop: every call fails, at once."""
+        self.lost, self.ready = True, False
+        cause = "hung" if self._hung else "died"
+        calls = [call for _, call in self._in_flight]
+        if self._hung and calls:
+            _fail(calls.pop(0), LaneHung())
+        for key in list(self.keys):
+            calls += self._queue.forget(key)
+        for call in calls:
+            _fail(call, LaneLost())
+        self._in_flight.clear()
+        self._on_lost(self, cause)
+
+    def _hello(self, payload: bytes) -> None:
+        self.versions = msgpack.unpackb(payload)
+        self.ready = True
+        self._on_ready(self)
+
+    def _reply(self, number: int, payload: bytes) -> None:
+        if not self._in_flight or self._in_flight[0][0] != number:
+            raise Disorder("a reply out of order")
+        _, call = self._in_flight.popleft()
+        now = time.monotonic()
+        self._queue.charge(call.key, now - self._working_since)
+        self._working_since = now
+        if not call.answer.done():
+            call.answer.set_result(payload)
+        self._dispatch()
+
+    def _dispatch(self) -> None:
+        assert self._transport is not None
+        while len(self._in_flight) < PIPELINE and (turn := self._queue.pop()) is not None:
+            _, call = turn
+            if call.answer.done():
+                continue
+            if not self._in_flight:
+                self._working_since = time.monotonic()
+            self._calls = self._calls % 0xFFFFFFFF + 1
+            self._in_flight.append((self._calls, call))
+            self._transport.writelines(framed(self._calls, call.request))
+
+
+def _fail(call: Call, error: Exception) -> None:
+    if not call.answer.done():
+        call.answer.set_exception(error)

@@ -1,0 +1,77 @@
+"""All sessions of a lane by key, and the closed set of operations on them."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from typing import Any
+
+import cv2
+import numpy as np
+
+from mfcmt_core import BadSnapshot
+from mfcmt_core import __version__ as core_version
+
+from ..frames import FrameLimits
+from .hosted import HostedSession, Options
+from .seal import BadSeal, Seal
+from .view import Refused
+
+
+def versions() -> dict[str, str]:
+    """Versions of what decides over results."""
+    return {
+        "mfcmt": core_version,
+        "numpy": np.__version__,
+        "opencv": cv2.__version__,
+        "numba": version("numba"),
+    }
+
+
+class Store:
+    """``config`` is what the front tells its lanes when they start (see ``service.sessions.config``)."""
+
+    def __init__(self, config: dict[str, Any]) -> None:
+        self._limits = FrameLimits(**config["frame_limits"])
+        self._max_targets: int = config["max_targets"]
+        self._region_lag: int = config["region_lag"]
+        self._seal = Seal(config["signing_keys"])
+        self._sessions: dict[str, HostedSession] = {}
+
+    def handle(self, op: str, key: str, args: dict[str, Any], data: bytes) -> Any:
+        """One operation, of the closed set below. Raises Refused."""
+        match op:
+            case "track":
+                session = self._sessions[key]
+                return session.track(args["seq"], data, args.get("region"), args.get("controls", []))
+            case "control":
+                return self._sessions[key].control(args)
+            case "create":
+                session = HostedSession(self._options(args["options"]))
+                state = session.begin(data, args["boxes"])
+                self._sessions[key] = session
+                return state
+            case "snapshot":
+                contents = self._sessions[key].to_dict() | {"front": args["front"]}
+                return self._seal.close(args["owner"], contents)
+            case "restore":
+                return self._restore(key, args["owner"], data)
+            case "drop":
+                self._sessions.pop(key, None)
+                return None
+            case _:
+                raise ValueError(op)
+
+    def _restore(self, key: str, owner: str, data: bytes) -> dict[str, Any]:
+        try:
+            contents = self._seal.open(owner, data)
+            session = HostedSession.from_dict(self._options(contents["options"]), contents)
+            state = session.state() | {"front": contents["front"], "options": contents["options"]}
+        except BadSeal as bad:
+            raise Refused("bad-snapshot", str(bad)) from bad
+        except (BadSnapshot, ValueError, TypeError, KeyError, IndexError) as bad:
+            raise Refused("bad-snapshot", "its contents do not fit together") from bad
+        self._sessions[key] = session
+        return state
+
+    def _options(self, chosen: dict[str, Any]) -> Options:
+        return Options(self._limits, self._max_targets, self._region_lag, **chosen)

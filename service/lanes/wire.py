@@ -1,0 +1,111 @@
+"""Between front and lane: length-prefixed MessagePack over a socket pair, no copy of a frame on the way out.
+
+A message is ``length: u32, call: u32, payload``; the payload of a call is the array ``[op, key, args,
+data]``, of a reply ``[code, value]`` with a code of the problem catalogue or nil. Call 0 wants no reply.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import msgpack
+
+from .interface import Buffers
+
+HEAD = struct.Struct(">II")
+BIN32 = struct.Struct(">BI")
+MAX_MESSAGE_BYTES = 1 << 30
+HELLO, NO_REPLY = 0, 0
+
+
+class Disorder(Exception):
+    """What arrived is not of this protocol."""
+
+
+def encode_call(op: str, key: str, args: Mapping[str, Any], data: bytes | memoryview = b"") -> Buffers:
+    """The payload of a call: one MessagePack array whose last item is ``data`` itself, not a copy."""
+    head = b"\x94" + msgpack.packb(op) + msgpack.packb(key) + msgpack.packb(args)
+    return (head + BIN32.pack(0xC6, len(data)), data)
+
+
+def decode_call(payload: memoryview) -> tuple[str, str, dict[str, Any], bytes]:
+    """``op, key, args, data`` of a call."""
+    op, key, args, data = msgpack.unpackb(payload)
+    return op, key, args, data
+
+
+def encode_reply(code: str | None, value: Any) -> bytes:
+    """The payload of a reply."""
+    packed: bytes = msgpack.packb((code, value))
+    return packed
+
+
+def decode_reply(payload: bytes) -> tuple[str | None, Any]:
+    """``code, value`` of a reply."""
+    try:
+        code, value = msgpack.unpackb(payload, strict_map_key=False)
+    except ValueError as broken:
+        raise Disorder("a lane's reply cannot be read") from broken
+    return code, value
+
+
+def framed(call: int, payload: Buffers) -> list[bytes | memoryview]:
+    """The buffers of one message."""
+    return [HEAD.pack(sum(map(len, payload)), call), *payload]
+
+
+class Splitter:
+    """Bytes as they come from a stream, to messages."""
+
+    def __init__(self) -> None:
+        self._rest = bytearray()
+
+    def feed(self, data: bytes) -> Iterator[tuple[int, bytes]]:
+        """``call, payload`` of every message that ``data`` completes. Raises Disorder."""
+        self._rest += data
+        at = 0
+        while len(self._rest) - at >= HEAD.size:
+            length, call = HEAD.unpack_from(self._rest, at)
+            if length > MAX_MESSAGE_BYTES:
+                raise Disorder(f"a message of {length} bytes")
+            end = at + HEAD.size + length
+            if len(self._rest) < end:
+                break
+            payload = bytes(memoryview(self._rest)[at + HEAD.size : end])
+            at = end
+            yield call, payload
+        del self._rest[:at]
+
+
+class BlockingWire:
+    """The lane's end: one message in, one out, over a blocking socket and one buffer that grows."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        sock.setblocking(True)
+        self._sock = sock
+        self._head = bytearray(HEAD.size)
+        self._buffer = bytearray(1 << 18)
+
+    def receive(self) -> tuple[int, memoryview]:
+        """``call, payload``; the payload is good until the next call. Raises EOFError at the end."""
+        self._fill(memoryview(self._head))
+        length, call = HEAD.unpack(self._head)
+        if length > len(self._buffer):
+            self._buffer = bytearray(length)
+        payload = memoryview(self._buffer)[:length]
+        self._fill(payload)
+        return call, payload
+
+    def send(self, call: int, payload: bytes) -> None:
+        """Send one message."""
+        self._sock.sendall(HEAD.pack(len(payload), call) + payload)
+
+    def _fill(self, view: memoryview) -> None:
+        while view:
+            got = self._sock.recv_into(view, len(view), socket.MSG_WAITALL)
+            if got == 0:
+                raise EOFError
+            view = view[got:]

@@ -1,0 +1,49 @@
+"""The main loop of a lane's process: one operation after the other, until the socket ends.
+
+Light to import, because the front names :func:`main` as what its children run.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import signal
+import socket
+import sys
+import traceback
+from typing import Any
+
+import msgpack
+
+from .wire import HELLO, NO_REPLY, BlockingWire, decode_call, encode_reply
+
+PR_SET_PDEATHSIG = 1
+
+
+def main(sock: socket.socket, config: dict[str, Any]) -> None:
+    """Serve ``sock`` until it ends."""
+    _die_with_parent()
+    from .store import Store, versions
+    from .view import Refused
+
+    wire = BlockingWire(sock)
+    store = Store(config)
+    with contextlib.suppress(EOFError, ConnectionError):
+        wire.send(HELLO, msgpack.packb(versions()))
+        while True:
+            call, payload = wire.receive()
+            try:
+                reply = encode_reply(None, store.handle(*decode_call(payload)))
+            except Refused as refused:
+                reply = encode_reply(refused.code, [refused.detail, refused.members])
+            except Exception:
+                # Where it happened is for the front's log, never for the client.
+                reply = encode_reply("internal", [traceback.format_exc(), {}])
+            if call != NO_REPLY:
+                wire.send(call, reply)
+
+
+def _die_with_parent() -> None:
+    """End with the fork server, which ends with the front, even in the middle of a computation."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)

@@ -1,0 +1,1 @@
+"""Driving a service with real frames and measuring it."""

@@ -1,0 +1,114 @@
+"""The same frames without a service: what decoding and tracking cost in one process, and what lanes reach."""
+
+from __future__ import annotations
+
+import asyncio
+import multiprocessing
+import os
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+from .clips import Clip
+from .drive import quantile
+
+WARM_FRAMES = 30
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+# Calls that wait in front of each lane, so that no lane ever waits.
+AHEAD = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """Decoding and tracking one frame in-process: median wall time and mean CPU time, in milliseconds."""
+
+    frames: int
+    wall_ms: float
+    decode_ms: float
+    cpu_ms: float
+
+
+def in_process(clip: Clip, seconds: float) -> Work:
+    """Decode and track ``clip`` for ``seconds``, alone in a fresh process set up as a lane is."""
+    os.environ.update(dict.fromkeys(THREADS, "1"))  # before the child loads its libraries
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(_in_process, clip, seconds).result()
+
+
+def _in_process(clip: Clip, seconds: float) -> Work:
+    from mfcmt_core import MFCMT
+
+    from ..frames.decode import decode
+    from ..lanes import preload  # noqa: F401  (threads, limits and kernels as in a lane)
+    from .clips import LIMITS
+
+    tracker = MFCMT()
+    tracker.init(decode(clip.frame(0), LIMITS)[0], clip.box)
+    wall, decoding = [], []
+    cpu_start = start = 0.0
+    index = 0
+    while index <= WARM_FRAMES or time.perf_counter() - start < seconds:
+        if index == WARM_FRAMES:
+            start, cpu_start = time.perf_counter(), time.process_time()
+        index += 1
+        clock = time.perf_counter()
+        image, _ = decode(clip.frame(index), LIMITS)
+        decoded = time.perf_counter()
+        tracker.update(image)
+        if index > WARM_FRAMES:
+            wall.append(time.perf_counter() - clock)
+            decoding.append(decoded - clock)
+    cpu = (time.process_time() - cpu_start) / len(wall)
+    return Work(len(wall), quantile(wall, 0.5) * 1e3, quantile(decoding, 0.5) * 1e3, cpu * 1e3)
+
+
+def lane_rates(clip: Clip, lanes: int, seconds: float) -> list[float]:
+    """Frames a second of each of ``lanes`` lanes with one busy session each, with no client and no front."""
+    return asyncio.run(_lane_rates(clip, lanes, seconds))
+
+
+async def _lane_rates(clip: Clip, count: int, seconds: float) -> list[float]:
+    from ..lanes.interface import LaneReady
+    from ..lanes.pool import LanePool
+    from ..sessions.config import lane_config
+    from ..settings import Settings
+
+    pool = LanePool(count, 1, lane_config(Settings()), deadline_s=60.0, start_timeout_s=180.0)
+    await pool.start()
+    try:
+        events = pool.events()
+        for _ in range(count):
+            assert isinstance(await anext(events), LaneReady)
+        keys = [f"lane-{number}" for number in range(count)]
+        for key in keys:
+            pool.reserve(key)
+        return list(await asyncio.gather(*(_busy(pool, key, clip, seconds) for key in keys)))
+    finally:
+        await pool.stop()
+
+
+async def _busy(pool: Any, key: str, clip: Clip, seconds: float) -> float:
+    from ..lanes.wire import decode_reply, encode_call
+
+    options = {"preset": "default", "on_resize": "reject", "maps": False}
+    create = encode_call("create", key, {"options": options, "boxes": [clip.box]}, clip.frame(0))
+    code, said = decode_reply(await pool.call(key, create))
+    assert code is None, said
+    done = 0
+
+    async def feed(first: int) -> None:
+        nonlocal done
+        index = first
+        while time.perf_counter() < end:
+            code, said = decode_reply(
+                await pool.call(key, encode_call("track", key, {"seq": index}, clip.frame(index)))
+            )
+            assert code is None, said
+            index += AHEAD
+            done += 1
+
+    start = time.perf_counter()
+    end = start + seconds
+    await asyncio.gather(*(feed(1 + ahead) for ahead in range(AHEAD)))
+    return done / (time.perf_counter() - start)

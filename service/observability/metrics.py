@@ -1,0 +1,126 @@
+"""What the service counts. Names and buckets by Prometheus' conventions; no label grows with sessions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from importlib.metadata import version
+
+from prometheus_client import (
+    CollectorRegistry,
+    Counter,
+    Gauge,
+    Histogram,
+    PlatformCollector,
+    ProcessCollector,
+    generate_latest,
+)
+from prometheus_client.core import GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from ..lanes.interface import LaneStatus
+
+SECONDS = (0.0005, 0.001, 0.002, 0.003, 0.005, 0.0075, 0.01, 0.02, 0.03, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5)
+
+
+class Metrics:
+    """All metrics of one service, in a registry of their own."""
+
+    def __init__(self) -> None:
+        self.registry = CollectorRegistry()
+        ProcessCollector(registry=self.registry)
+        PlatformCollector(registry=self.registry)
+
+        def counter(name: str, text: str, *labels: str) -> Counter:
+            return Counter(name, text, labels, registry=self.registry)
+
+        def seconds(name: str, text: str) -> Histogram:
+            return Histogram(name, text, buckets=SECONDS, registry=self.registry)
+
+        self.sessions_created = counter("mfcmt_sessions_created_total", "Sessions made or restored", "preset")
+        self.sessions_closed = counter("mfcmt_sessions_closed_total", "Sessions ended", "reason")
+        self.refused_sessions = counter(
+            "mfcmt_admission_rejected_total", "Sessions refused for want of a place", "reason"
+        )
+        self.frames_received = counter("mfcmt_frames_received_total", "Frame messages and calls", "via")
+        self.frame_bytes = counter("mfcmt_frame_bytes_total", "Encoded bytes of frames received")
+        self.frames_dropped = counter("mfcmt_frames_dropped_total", "Frames that were not tracked", "reason")
+        self.problems = counter("mfcmt_problems_total", "Refusals told to clients", "code")
+        self.requests = counter("mfcmt_http_requests_total", "HTTP calls answered", "method", "path", "status")
+        self.streams = Gauge("mfcmt_ws_connections", "Attached streams", registry=self.registry)
+        self.stream_closes = counter("mfcmt_ws_closes_total", "Streams closed by the service", "code")
+        self.lane_restarts = counter("mfcmt_lane_restarts_total", "Lanes replaced", "cause")
+        self.queue_seconds = seconds("mfcmt_frame_queue_seconds", "From a frame's arrival to its lane, both ways")
+        self.decode_seconds = seconds("mfcmt_frame_decode_seconds", "Decoding of a frame")
+        self.track_seconds = seconds("mfcmt_frame_track_seconds", "Tracking of all targets in a frame")
+        self.total_seconds = seconds("mfcmt_frame_total_seconds", "From a frame's arrival to its result")
+        self.request_seconds = seconds("mfcmt_http_request_seconds", "HTTP calls, from head to last byte")
+        self.loop_lag_seconds = seconds("mfcmt_event_loop_lag_seconds", "How late a timer of the event loop fires")
+        self.snapshot_bytes = Histogram(
+            "mfcmt_snapshot_bytes",
+            "Size of snapshots handed out",
+            buckets=[2**n for n in range(16, 27)],
+            registry=self.registry,
+        )
+
+        self._by_stream = self.frames_received.labels(via="stream")
+        self._by_http = self.frames_received.labels(via="http")
+
+    def stream_frame(self, size: int) -> None:
+        """A frame message has come."""
+        self._by_stream.inc()
+        self.frame_bytes.inc(size)
+
+    def http_frame(self, size: int) -> None:
+        """A frame has come in a call of its own."""
+        self._by_http.inc()
+        self.frame_bytes.inc(size)
+
+    def refused_message(self, code: str, *, frame: bool) -> None:
+        """A client was told of a problem on its stream."""
+        self.problems.labels(code=code).inc()
+        if frame:
+            self.frames_dropped.labels(reason=code).inc()
+
+    def frame(self, queue_s: float, decode_s: float, track_s: float, total_s: float) -> None:
+        """One frame was tracked."""
+        self.queue_seconds.observe(queue_s)
+        self.decode_seconds.observe(decode_s)
+        self.track_seconds.observe(track_s)
+        self.total_seconds.observe(total_s)
+
+    def observe_service(
+        self, sessions: Callable[[], int], capacity: int, lanes: Callable[[], list[LaneStatus]]
+    ) -> None:
+        """Read these whenever the metrics are asked for."""
+        self.registry.register(_Service(sessions, capacity, lanes))
+
+    def text(self) -> bytes:
+        """The Prometheus text format."""
+        return generate_latest(self.registry)
+
+
+class _Service(Collector):
+    def __init__(self, sessions: Callable[[], int], capacity: int, lanes: Callable[[], list[LaneStatus]]) -> None:
+        self._sessions, self._capacity, self._lanes = sessions, capacity, lanes
+
+    def collect(self) -> Iterator[Metric]:
+        """Gauges as they are now."""
+        yield GaugeMetricFamily("mfcmt_sessions_active", "Sessions in the book", self._sessions())
+        yield GaugeMetricFamily("mfcmt_sessions_capacity", "Sessions that there is room for", self._capacity)
+        rss = GaugeMetricFamily("mfcmt_lane_rss_bytes", "Resident memory of a lane", labels=["lane"])
+        cpu = GaugeMetricFamily("mfcmt_lane_cpu_seconds", "CPU time of a lane's process", labels=["lane"])
+        keys = GaugeMetricFamily("mfcmt_lane_sessions", "Sessions in a lane", labels=["lane"])
+        ready = GaugeMetricFamily("mfcmt_lane_ready", "1 when a lane takes sessions", labels=["lane"])
+        statuses = self._lanes()
+        for status in statuses:
+            lane = [str(status.lane)]
+            rss.add_metric(lane, status.rss_bytes)
+            cpu.add_metric(lane, status.cpu_s)
+            keys.add_metric(lane, status.keys)
+            ready.add_metric(lane, float(status.ready))
+        yield from (rss, cpu, keys, ready)
+        told = next((status.versions for status in statuses if status.versions), {})
+        names = ["version", "opencv", "numpy"]
+        build = GaugeMetricFamily("mfcmt_build_info", "Versions; always 1", labels=names)
+        build.add_metric([version("mfcmt"), told.get("opencv", ""), told.get("numpy", "")], 1)
+        yield build

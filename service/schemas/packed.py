@@ -1,0 +1,81 @@
+"""JSON and MessagePack from outside, to plain values: bounded in depth, width and time."""
+
+from __future__ import annotations
+
+import base64
+import json
+from typing import Any, NoReturn
+
+import msgpack
+
+MAX_ITEMS = 256
+MAX_KEYS = 32
+
+
+class Unreadable(Exception):
+    """The bytes are not a document of this format."""
+
+
+def from_json(text: str | bytes) -> Any:
+    """The value of a JSON document (RFC 8259: no NaN, no doubled keys). Raises Unreadable."""
+    try:
+        return json.loads(text, parse_constant=_refuse, object_pairs_hook=_unique)
+    except (ValueError, RecursionError) as broken:
+        raise Unreadable("not a JSON document") from broken
+
+
+def from_msgpack(data: bytes | memoryview) -> Any:
+    """The value of a MessagePack document without extension types. Raises Unreadable.
+
+    Containers within containers within containers are refused as soon as the innermost are read, so that
+    no message costs more than its bytes.
+    """
+    try:
+        return msgpack.unpackb(
+            data,
+            raw=False,
+            strict_map_key=True,
+            max_array_len=MAX_ITEMS,
+            max_map_len=MAX_KEYS,
+            max_ext_len=0,
+            ext_hook=_refuse,
+            list_hook=_shallow,
+            object_pairs_hook=_unique,
+        )
+    except (ValueError, TypeError, msgpack.UnpackException) as broken:
+        raise Unreadable("not a MessagePack document") from broken
+
+
+def to_json(value: Any) -> str:
+    """One line of JSON; bytes become base64."""
+    return json.dumps(value, separators=(",", ":"), default=_base64, allow_nan=False)
+
+
+def to_msgpack(value: Any) -> bytes:
+    """MessagePack."""
+    packed: bytes = msgpack.packb(value)
+    return packed
+
+
+def _base64(value: object) -> str:
+    if isinstance(value, bytes):
+        return base64.b64encode(value).decode()
+    raise TypeError(f"{type(value).__name__} is not of the protocol")
+
+
+def _refuse(*_: Any) -> NoReturn:
+    raise ValueError("not allowed here")
+
+
+def _unique(pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
+    value = dict(pairs)
+    if len(value) != len(pairs):
+        raise ValueError("a key is doubled")
+    return value
+
+
+def _shallow(items: list[Any]) -> list[Any]:
+    for item in items:
+        if type(item) is list and any(type(inner) in (list, dict) for inner in item):
+            raise ValueError("nested too deep")
+    return items

@@ -1,0 +1,51 @@
+"""The parts of one running service, as the calls see them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from .auth import Gate
+from .lanes.interface import Lanes
+from .observability.metrics import Metrics
+from .sessions.book import SessionBook
+from .sessions.bucket import Bucket
+from .sessions.session import Session
+from .settings import Settings
+
+
+@dataclass(slots=True)
+class Service:
+    """Built by ``create_app``; one for each application."""
+
+    settings: Settings
+    lanes: Lanes
+    book: SessionBook
+    gate: Gate
+    metrics: Metrics
+    buckets: dict[str, Bucket] = field(default_factory=dict)
+
+    def describe(self, session: Session, base_url: str) -> dict[str, Any]:
+        """The Session of the protocol; ``base_url`` is how the caller reaches the service."""
+        scheme, _, rest = (self.settings.public_url or base_url.rstrip("/")).partition("://")
+        secure = "wss" if scheme in ("https", "wss") else "ws"
+        return {
+            "id": session.id,
+            "created_at": instant(session.created_at),
+            "expires_at": instant(self.book.expires_at(session)),
+            "label": session.options.label,
+            "preset": session.options.preset,
+            "size": session.size,
+            "seq": session.seq,
+            "region": session.region,
+            "targets": session.told_targets(),
+            "stream": {
+                "url": f"{secure}://{rest}/v1/sessions/{session.id}/stream",
+                "attached": session.attachment is not None,
+            },
+        }
+
+
+def instant(moment: Any) -> str:
+    told: str = moment.isoformat(timespec="milliseconds")
+    return told.replace("+00:00", "Z")

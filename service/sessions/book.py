@@ -1,0 +1,262 @@
+"""The book: every session, who owns it, when it ends and what is remembered of it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hashlib
+import secrets
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+import structlog
+
+from ..lanes.interface import AtCapacity, KeysLost, Lanes
+from ..observability.metrics import Metrics
+from ..problems import ProblemError, session_gone, session_not_found
+from ..settings import Settings
+from .memory import Memory
+from .session import Attachment, Options, Session
+
+SWEEP_EVERY_S = 0.5
+ID_BYTES = 18
+# How a stream is closed when its session ends.
+CLOSE_CODES = {"closed": 1000, "idle": 4408, "expired": 4410, "lost": 4410}
+
+log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.sessions")
+
+
+@dataclass(frozen=True, slots=True)
+class Tombstone:
+    """What is left of a session."""
+
+    owner: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Creation:
+    """What an Idempotency-Key has been used for."""
+
+    fingerprint: bytes
+    session: asyncio.Future[Session]
+
+
+class SessionBook:
+    """All sessions of the service. ``clock`` gives seconds of a monotonic clock."""
+
+    def __init__(
+        self, settings: Settings, lanes: Lanes, metrics: Metrics, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.draining = False
+        self._settings, self._lanes, self._metrics, self._clock = settings, lanes, metrics, clock
+        self._sessions: dict[str, Session] = {}
+        self._tombstones: Memory[Tombstone] = Memory(settings.max_tombstones, settings.tombstone_s, clock)
+        self._creations: Memory[Creation] = Memory(settings.max_idempotency_keys, settings.idempotency_s, clock)
+        self._ordinal = 0
+
+    def __len__(self) -> int:
+        return len(self._sessions)
+
+    def find(self, owner: str, sid: str) -> Session:
+        """The caller's session, which counts as used. Raises session-not-found, session-gone."""
+        session = self._sessions.get(sid)
+        if session is None or session.owner != owner:
+            grave = self._tombstones.get(sid)
+            if grave is None or grave.owner != owner:
+                raise session_not_found()
+            raise session_gone(grave.reason)
+        if self._overdue(session):
+            self._end(session, self._overdue(session))
+            return self.find(owner, sid)
+        session.touched = self._clock()
+        return session
+
+    def owned(self, owner: str, after: int, limit: int) -> tuple[list[Session], int | None]:
+        """The caller's sessions in the order of their making, and where the next page begins."""
+        mine = [s for s in self._sessions.values() if s.owner == owner and s.ordinal > after]
+        page = mine[:limit]
+        return page, page[-1].ordinal if len(mine) > limit else None
+
+    async def create(
+        self, owner: str, data: bytes, boxes: list[list[float]], options: Options, idempotency_key: str | None
+    ) -> Session:
+        """A session that has started on its first frame; the same one for the same key and content."""
+        if idempotency_key is None:
+            return await self._create(owner, data, boxes, options)
+        name = f"{owner} {idempotency_key}"
+        fingerprint = await asyncio.to_thread(_fingerprint, data, boxes, options)
+        known = self._creations.get(name)
+        if known is not None:
+            if known.fingerprint != fingerprint:
+                raise ProblemError("bad-request", "the Idempotency-Key was used with another body")
+            session = await asyncio.shield(known.session)
+            return self.find(owner, session.id)
+        future: asyncio.Future[Session] = asyncio.get_running_loop().create_future()
+        self._creations.put(name, Creation(fingerprint, future))
+        try:
+            session = await self._create(owner, data, boxes, options)
+        except BaseException as failed:
+            # A refused creation may be tried again; whoever waits for this one gets the same answer.
+            self._creations.pop(name)
+            future.set_exception(failed if isinstance(failed, ProblemError) else ProblemError("internal", "failed"))
+            future.exception()
+            raise
+        future.set_result(session)
+        return session
+
+    async def restore(self, owner: str, snapshot: bytes) -> Session:
+        """A session that goes on from a snapshot, under a new id."""
+        session = self._open(owner, Options("default", "reject", None, False, self._settings.idle_timeout_s))
+        with self._undone_on_error(session):
+            told = await session.resume(snapshot)
+            session.options = Options(
+                told["preset"], told["on_resize"], told["label"], told["maps"], told["idle_timeout_s"]
+            )
+        return session
+
+    def end(self, session: Session, reason: str) -> None:
+        """End a session: ``closed``, ``idle``, ``expired`` or ``lost``."""
+        self._end(session, reason)
+
+    def close(self, owner: str, sid: str) -> None:
+        """End the caller's session; nothing more if it has ended already. Raises session-not-found."""
+        try:
+            session = self.find(owner, sid)
+        except ProblemError as gone:
+            if gone.code != "session-gone":
+                raise
+        else:
+            self._end(session, "closed")
+
+    def expires_at(self, session: Session) -> datetime:
+        """When the session ends if nothing more comes."""
+        left = min(self._idle_deadline(session), session.created + self._settings.max_session_s) - self._clock()
+        return datetime.now(UTC) + timedelta(seconds=max(0.0, left))
+
+    def drain(self, reconnect_in_s: Callable[[], float]) -> None:
+        """No new sessions from now on; every stream is told."""
+        self.draining = True
+        for attachment in self._attachments():
+            attachment.tell({"type": "draining", "reconnect_in_s": reconnect_in_s()})
+
+    def streams(self) -> int:
+        """Attached streams."""
+        return len(self._attachments())
+
+    def end_streams(self, code: int, reason: str) -> None:
+        """Close every stream; the sessions stay."""
+        for attachment in self._attachments():
+            attachment.end(code, reason)
+
+    def sweep(self) -> None:
+        """End what is overdue, close streams that nobody reads, forget what is old."""
+        now = self._clock()
+        for session in list(self._sessions.values()):
+            if reason := self._overdue(session):
+                self._end(session, reason)
+            elif session.attachment is not None:
+                session.attachment.check(now)
+        self._tombstones.sweep()
+        self._creations.sweep()
+
+    async def keep(self) -> None:
+        """Sweep, for as long as the service runs."""
+        while True:
+            await asyncio.sleep(SWEEP_EVERY_S)
+            self.sweep()
+
+    async def follow_lanes(self) -> None:
+        """End the sessions of lanes that die, for as long as the service runs."""
+        async for event in self._lanes.events():
+            if isinstance(event, KeysLost):
+                self._metrics.lane_restarts.labels(cause=event.cause).inc()
+                log.error("lane lost", lane=event.lane, cause=event.cause, sessions=len(event.keys))
+                for sid in event.keys:
+                    if sid in self._sessions:
+                        self._end(self._sessions[sid], "lost")
+            else:
+                log.info("lane ready", lane=event.lane)
+
+    async def _create(self, owner: str, data: bytes, boxes: list[list[float]], options: Options) -> Session:
+        session = self._open(owner, options)
+        with self._undone_on_error(session):
+            await session.begin(data, boxes)
+        return session
+
+    def _open(self, owner: str, options: Options) -> Session:
+        """A place in a lane, taken at once or not at all, and a session around it."""
+        if self.draining:
+            raise self._unavailable("draining", self._settings.drain_grace_s)
+        sid = secrets.token_urlsafe(ID_BYTES)
+        try:
+            self._lanes.reserve(sid)
+        except AtCapacity:
+            self.sweep()
+            try:
+                self._lanes.reserve(sid)
+            except AtCapacity:
+                raise self._unavailable("at-capacity", 1.0) from None
+        self._ordinal += 1
+        return Session(
+            sid,
+            owner,
+            options,
+            self._lanes,
+            self._metrics,
+            ordinal=self._ordinal,
+            created=self._clock(),
+            created_at=datetime.now(UTC),
+            max_trajectory_bytes=self._settings.max_trajectory_bytes,
+        )
+
+    @contextlib.contextmanager
+    def _undone_on_error(self, session: Session) -> Iterator[None]:
+        try:
+            yield
+        except BaseException as failed:
+            self._lanes.release(session.id)
+            if isinstance(failed, ProblemError) and failed.code == "session-gone":
+                # Its lane died under it: for the client there never was a session.
+                raise self._unavailable("at-capacity", 1.0) from failed
+            raise
+        session.touched = self._clock()
+        self._sessions[session.id] = session
+        self._metrics.sessions_created.labels(preset=session.options.preset).inc()
+
+    def _unavailable(self, code: str, retry_after_s: float) -> ProblemError:
+        self._metrics.refused_sessions.labels(reason=code).inc()
+        detail = "the service is going away" if code == "draining" else "no place for another session"
+        return ProblemError(code, detail, retry_after_s=retry_after_s)
+
+    def _idle_deadline(self, session: Session) -> float:
+        if session.attachment is not None:
+            return session.touched + self._settings.attached_idle_timeout_s
+        return session.touched + session.options.idle_timeout_s
+
+    def _overdue(self, session: Session) -> str:
+        now = self._clock()
+        if now > session.created + self._settings.max_session_s:
+            return "expired"
+        return "idle" if now > self._idle_deadline(session) else ""
+
+    def _end(self, session: Session, reason: str) -> None:
+        session.ended = reason
+        self._sessions.pop(session.id, None)
+        self._lanes.release(session.id)
+        self._tombstones.put(session.id, Tombstone(session.owner, reason))
+        self._metrics.sessions_closed.labels(reason=reason).inc()
+        log.info("session ended", session=session.id, reason=reason, seq=session.seq)
+        if session.attachment is not None:
+            session.attachment.end(CLOSE_CODES[reason], f"session ended: {reason}")
+
+    def _attachments(self) -> list[Attachment]:
+        return [s.attachment for s in self._sessions.values() if s.attachment is not None]
+
+
+def _fingerprint(data: bytes, boxes: list[list[float]], options: Options) -> bytes:
+    digest = hashlib.sha256(repr((boxes, options)).encode())
+    digest.update(data)
+    return digest.digest()

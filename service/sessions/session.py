@@ -1,0 +1,208 @@
+"""One session as the front knows it, and the operations on it, one at a time."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Protocol
+
+import structlog
+
+from ..lanes.interface import LaneHung, LaneLost, Lanes
+from ..lanes.wire import decode_reply, encode_call
+from ..observability.metrics import Metrics
+from ..problems import ProblemError, session_gone
+from . import wiring
+from .trajectory import Entry, Trajectory
+
+MAX_SEQ = 2**53 - 1
+
+log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.session")
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the client chose."""
+
+    preset: str
+    on_resize: str
+    label: str | None
+    maps: bool
+    idle_timeout_s: float
+
+
+@dataclass(slots=True)
+class Frame:
+    """A frame message with its number, on its way to the lane; ``arrived`` is of the monotonic clock."""
+
+    data: bytes
+    seq: int
+    ts: float | str | None
+    region: list[int] | None
+    arrived: float
+
+
+class Attachment(Protocol):
+    """What a session knows of the stream that is attached to it; ``name`` is known to its owner alone."""
+
+    name: str
+
+    def tell(self, message: dict[str, Any]) -> None:
+        """Send a message when there is room."""
+
+    def end(self, code: int, reason: str) -> None:
+        """Close; what waits is discarded."""
+
+    def check(self, now: float) -> None:
+        """Close if the client has stopped reading."""
+
+
+class Session:
+    """State, numbering and the one-at-a-time rule; ``ended`` is the reason once it has."""
+
+    def __init__(
+        self,
+        sid: str,
+        owner: str,
+        options: Options,
+        lanes: Lanes,
+        metrics: Metrics,
+        *,
+        ordinal: int,
+        created: float,
+        created_at: datetime,
+        max_trajectory_bytes: int,
+    ) -> None:
+        self.id, self.owner, self.options = sid, owner, options
+        self.ordinal, self.created, self.created_at = ordinal, created, created_at
+        self.touched = created
+        self.ended: str | None = None
+        self.attachment: Attachment | None = None
+        self.size: list[int] = [0, 0]
+        self.region: list[int] | None = None
+        self.rows: list[list[Any]] = []
+        self.seq = 0
+        self.last_number = 0
+        self.http_waiting = 0
+        self.trajectory = Trajectory(max_trajectory_bytes)
+        self._lanes, self._metrics = lanes, metrics
+        self._turn = asyncio.Lock()
+
+    def number(self, seq: int | None) -> int:
+        """The number of a frame message, the client's own or the next. Raises stale-frame."""
+        if seq is None:
+            seq = self.last_number + 1
+        elif seq <= self.last_number:
+            raise ProblemError("stale-frame", f"seq {seq} is not above {self.last_number}")
+        self.last_number = seq
+        return seq
+
+    async def begin(self, data: bytes, boxes: list[list[float]]) -> None:
+        """Start on the first frame."""
+        chosen = self.options
+        options = {"preset": chosen.preset, "on_resize": chosen.on_resize, "maps": chosen.maps}
+        async with self._turn:
+            state = await self._call("create", {"options": options, "boxes": boxes}, data)
+            self._take(state)
+            self.trajectory.append(Entry(0, None, self.size, self.region, self.rows))
+
+    async def resume(self, data: bytes) -> dict[str, Any]:
+        """Start from a snapshot; what the front put into it."""
+        async with self._turn:
+            state = await self._call("restore", {"owner": self.owner}, data)
+            self._take(state)
+            self.last_number = self.seq
+        return {**state["front"], **state["options"]}
+
+    async def track(
+        self, frame: Frame, *, dropped: int = 0, controls: list[dict[str, Any]] | None = None
+    ) -> tuple[dict[str, Any], list[ProblemError | None]]:
+        """The Result of one frame, and for each of ``controls``, which act on it, None or its refusal."""
+        args: dict[str, Any] = {"seq": frame.seq}
+        if frame.region is not None:
+            args["region"] = frame.region
+        if controls:
+            args["controls"] = controls
+        async with self._turn:
+            state = await self._call("track", args, frame.data)
+            self._take(state)
+            self.trajectory.append(Entry(frame.seq, frame.ts, self.size, self.region, self.rows))
+        total = time.monotonic() - frame.arrived
+        decode_s, track_s = state["decode_s"], state["track_s"]
+        queue_s = max(0.0, total - decode_s - track_s)
+        self._metrics.frame(queue_s, decode_s, track_s, total)
+        result = {
+            "type": "result",
+            "seq": frame.seq,
+            "ts": frame.ts,
+            "size": self.size,
+            "dropped": dropped,
+            "region": self.region,
+            "targets": wiring.targets(state["rows"], state.get("maps")),
+            "timing": {
+                "queue_ms": round(queue_s * 1e3, 3),
+                "decode_ms": round(decode_s * 1e3, 3),
+                "track_ms": round(track_s * 1e3, 3),
+            },
+        }
+        answers = [refused and _refusal(refused) for refused in state["answers"]]
+        return result, answers
+
+    async def control(self, control: Mapping[str, Any]) -> tuple[dict[str, Any] | None, list[int] | None]:
+        """Add, correct or remove a target on the newest frame: the target, if it is there, and the region."""
+        async with self._turn:
+            state = await self._call("control", control)
+            self._take(state)
+            if control["type"] != "remove":
+                self.trajectory.amend(self.rows, self.region)
+        row = next((row for row in state["rows"] if row[0] == state["target"]), None)
+        return row and wiring.target(row), self.region
+
+    async def snapshot(self) -> bytes:
+        """The session as signed bytes, between two frames."""
+        front = {"label": self.options.label, "idle_timeout_s": self.options.idle_timeout_s}
+        async with self._turn:
+            data: bytes = await self._call("snapshot", {"owner": self.owner, "front": front})
+        return data
+
+    async def settled(self) -> None:
+        """Wait until nothing is in work."""
+        async with self._turn:
+            pass
+
+    def told_targets(self) -> list[dict[str, Any]]:
+        """The targets as the newest frame left them."""
+        return wiring.targets(self.rows)
+
+    def _take(self, state: dict[str, Any]) -> None:
+        self.seq, self.size, self.region, self.rows = (
+            state["seq"],
+            state["size"],
+            state["region"],
+            state["rows"],
+        )
+
+    async def _call(self, op: str, args: Mapping[str, Any], data: bytes = b"") -> Any:
+        if self.ended:
+            raise session_gone(self.ended)
+        try:
+            reply = await self._lanes.call(self.id, encode_call(op, self.id, args, data))
+        except LaneHung as hung:
+            raise ProblemError("deadline-exceeded", "the operation took too long") from hung
+        except LaneLost as lost:
+            raise session_gone(self.ended or "lost") from lost
+        code, value = decode_reply(reply)
+        if code == "internal":
+            log.error("fault in a lane", session=self.id, op=op, fault=value[0])
+            raise ProblemError("internal", "the fault is logged under the request id")
+        if code is not None:
+            raise _refusal([code, *value])
+        return value
+
+
+def _refusal(told: list[Any]) -> ProblemError:
+    code, detail, members = told
+    return ProblemError(code, detail, **members)

@@ -1,0 +1,147 @@
+"""Every limit and switch of the service, read from ``MFCMT_*`` variables. The unit is in the name."""
+
+from __future__ import annotations
+
+from ipaddress import ip_address
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, SecretStr, field_validator, model_validator
+from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
+
+from .lanes.cores import usable_cores
+
+MIB = 1024 * 1024
+Secrets = Annotated[tuple[SecretStr, ...], NoDecode]
+Names = Annotated[tuple[str, ...], NoDecode]
+
+
+def _positive(default: float, description: str) -> Any:
+    return Field(default=default, gt=0, allow_inf_nan=False, description=description)
+
+
+class Settings(BaseSettings):
+    """Settings of one server process. Lists are separated by commas."""
+
+    model_config = SettingsConfigDict(env_prefix="MFCMT_", extra="ignore", frozen=True, hide_input_in_errors=True)
+
+    host: str = Field(default="127.0.0.1", description="address to listen on")
+    port: int = Field(default=8000, ge=0, le=65535, description="port to listen on; 0 takes a free one")
+    public_url: str = Field(default="", description="base URL that clients see, where a proxy does not pass it on")
+
+    lanes: int = Field(
+        default_factory=usable_cores,
+        ge=1,
+        le=256,
+        description="worker processes; the cores of affinity and cgroup",
+    )
+    max_sessions_per_lane: int = Field(
+        default=16, ge=1, description="sessions in one lane; the service holds lanes times this"
+    )
+    max_targets_per_session: int = Field(default=16, ge=1, le=256, description="targets in one session")
+    region_lag_frames: int = Field(default=1, ge=0, le=30, description="frames in flight that a region leaves room for")
+    operation_deadline_s: float = _positive(5.0, "one operation in a lane; a lane that takes longer is replaced")
+    lane_start_timeout_s: float = _positive(180.0, "from the start of a lane to its first word")
+
+    max_frame_bytes: int = Field(default=8 * MIB, ge=1024, description="bytes of one encoded frame")
+    max_frame_pixels: int = Field(
+        default=8_300_000, ge=1, le=1 << 26, description="pixels of one frame, from its header"
+    )
+    max_frame_side_px: int = Field(default=8192, ge=1, le=65535, description="width or height of one frame")
+    max_frame_scans: int = Field(default=16, ge=1, description="scans of one progressive JPEG")
+    max_json_frame_bytes: int = Field(
+        default=256 * 1024, ge=1024, description="bytes of a frame that is base64 in JSON"
+    )
+    max_body_bytes: int = Field(default=64 * 1024, ge=1024, description="bytes of a body or message without a frame")
+    max_snapshot_bytes: int = Field(default=64 * MIB, ge=1024, description="bytes of a snapshot that is sent in")
+    body_timeout_s: float = _positive(30.0, "from a call's head to the end of its body")
+
+    idle_timeout_s: float = _positive(300.0, "a session without a stream ends after this long without a frame or call")
+    max_idle_timeout_s: float = _positive(3600.0, "the most that a client may ask for as idle_timeout_s")
+    attached_idle_timeout_s: float = _positive(600.0, "the same while a stream is attached")
+    max_session_s: float = _positive(86400.0, "a session ends after this long however busy")
+    tombstone_s: float = _positive(3600.0, "an ended session answers 410 for this long")
+    max_tombstones: int = Field(default=10_000, ge=0, description="ended sessions that are remembered")
+    max_trajectory_bytes: int = Field(
+        default=8 * MIB, ge=4096, description="past results kept in one session, oldest go first"
+    )
+    idempotency_s: float = _positive(600.0, "an Idempotency-Key is remembered for this long")
+    max_idempotency_keys: int = Field(default=10_000, ge=0, description="Idempotency-Keys that are remembered")
+
+    credit_frames: int = Field(default=4, ge=1, le=64, description="unanswered frames of a lossless stream")
+    max_messages_per_s: float = _positive(2000.0, "messages of one stream; as many again may come at once")
+    max_requests_per_s: float = _positive(1000.0, "HTTP calls of one key; as many again may come at once")
+    max_refused_messages: int = Field(
+        default=200, ge=1, description="messages refused for rate in a row before a stream closes"
+    )
+    send_timeout_s: float = _positive(20.0, "a stream whose client does not read closes after this long")
+    ping_interval_s: float = _positive(20.0, "between pings on a stream")
+    ping_timeout_s: float = _positive(20.0, "for the pong")
+    max_connections: int = Field(default=2048, ge=1, description="open connections; more get a bare 503")
+    drain_grace_s: float = Field(
+        default=15.0, ge=0, allow_inf_nan=False, description="from SIGTERM to the end of open streams"
+    )
+
+    api_keys: Secrets = Field(default=(), description="keys that clients must show; none means no authentication")
+    admin_key: SecretStr | None = Field(default=None, description="key for /metrics; none leaves it open")
+    allow_unauthenticated: bool = Field(default=False, description="listen beyond loopback without keys")
+    allowed_origins: Names = Field(
+        default=(), description="browser origins besides the service's own, as https://host:port"
+    )
+    ticket_s: float = _positive(30.0, "a ticket is good for this long")
+    max_ticket_s: float = _positive(300.0, "the most that a client may ask for as ttl_s")
+    max_tickets: int = Field(default=10_000, ge=1, description="tickets that wait for their handshake")
+    signing_keys: Secrets = Field(default=(), description="snapshots are signed with the first, read with any")
+
+    log_format: Literal["auto", "json", "console"] = Field(default="auto", description="auto: console on a terminal")
+    log_level: Literal["debug", "info", "warning", "error"] = Field(
+        default="info", description="least level that is logged"
+    )
+
+    @field_validator("api_keys", "signing_keys", "allowed_origins", mode="before")
+    @classmethod
+    def _split(cls, value: Any) -> Any:
+        if isinstance(value, str):
+            return tuple(part for part in (p.strip() for p in value.split(",")) if part)
+        return value
+
+    @field_validator("api_keys", "signing_keys")
+    @classmethod
+    def _long_enough(cls, value: tuple[SecretStr, ...]) -> tuple[SecretStr, ...]:
+        if any(len(secret.get_secret_value()) < 16 for secret in value):
+            raise ValueError("a key has at least 16 characters")
+        return value
+
+    @field_validator("allowed_origins")
+    @classmethod
+    def _bare_origins(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        for origin in value:
+            scheme, found, rest = origin.partition("://")
+            if not found or scheme not in ("http", "https") or not rest or "/" in rest:
+                raise ValueError("an origin is scheme://host[:port] and nothing more")
+        return tuple(origin.lower() for origin in value)
+
+    @field_validator("public_url")
+    @classmethod
+    def _http_url(cls, value: str) -> str:
+        if value and not value.startswith(("http://", "https://")):
+            raise ValueError("starts with http:// or https://")
+        return value.rstrip("/")
+
+    @model_validator(mode="after")
+    def _keys_beyond_loopback(self) -> Settings:
+        if not (self.api_keys or self.allow_unauthenticated or self.on_loopback):
+            raise ValueError("host is not a loopback address: set MFCMT_API_KEYS, or MFCMT_ALLOW_UNAUTHENTICATED=true")
+        return self
+
+    @property
+    def on_loopback(self) -> bool:
+        """Whether only this machine can connect."""
+        try:
+            return ip_address(self.host).is_loopback
+        except ValueError:
+            return self.host == "localhost"
+
+    @property
+    def capacity(self) -> int:
+        """Sessions that the service holds at once."""
+        return self.lanes * self.max_sessions_per_lane

@@ -1,0 +1,101 @@
+"""What waits for the lane: in ``latest`` one frame at most, in ``lossless`` as many as the credit."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+from ..problems import ProblemError
+from ..sessions.session import Frame
+from .messages import Control
+
+Mode = Literal["latest", "lossless"]
+MAX_WAITING_CONTROLS = 64
+
+
+@dataclass(slots=True)
+class Job:
+    """A frame and the controls that act on it, or a control alone."""
+
+    frame: Frame | None
+    controls: list[Control] = field(default_factory=list)
+
+
+class Flow:
+    """The queue between the reader of a socket and the session; order is that of the messages."""
+
+    def __init__(self, mode: Mode, credit: int, on_superseded: Callable[[], None]) -> None:
+        self.mode = mode
+        self.dropped = 0
+        self._on_superseded = on_superseded
+        self._credit = credit
+        self._unanswered = 0
+        self._jobs: deque[Job] = deque()
+        self._controls = 0
+        self._for_next: list[Control] = []
+        self._wake = asyncio.Event()
+
+    def take_for_next(self) -> list[Control]:
+        """The controls that wait for the frame message that has just come."""
+        controls, self._for_next = self._for_next, []
+        return controls
+
+    def put_frame(self, frame: Frame, controls: list[Control]) -> None:
+        """Queue a frame. In ``latest`` it takes the place of the one that waits. Raises over-credit.
+
+        A frame with controls of its own is not superseded: they would act on a frame they were not made for.
+        """
+        if self.mode == "lossless":
+            if self._unanswered >= self._credit:
+                detail = f"at most {self._credit} unanswered frames"
+                raise ProblemError("over-credit", detail, retry_after_s=0.1)
+            self._unanswered += 1
+        else:
+            stale = next((job for job in self._jobs if job.frame is not None and not job.controls), None)
+            if stale is not None:
+                self._jobs.remove(stale)
+                self.dropped += 1
+                self._on_superseded()
+        self._jobs.append(Job(frame, controls))
+        self._wake.set()
+
+    def put_control(self, control: Control) -> None:
+        """Queue a control. Raises rate-limited when too many wait."""
+        if self._controls >= MAX_WAITING_CONTROLS:
+            raise ProblemError("rate-limited", "too many controls wait", retry_after_s=0.1)
+        self._controls += 1
+        if control.on_next:
+            self._for_next.append(control)
+        else:
+            self._jobs.append(Job(None, [control]))
+            self._wake.set()
+
+    async def next(self) -> Job:
+        """The next job, when there is one."""
+        while not self._jobs:
+            self._wake.clear()
+            await self._wake.wait()
+        return self._jobs.popleft()
+
+    def answered(self, job: Job) -> None:
+        """The client is about to be told of ``job``."""
+        self._controls -= len(job.controls)
+        if job.frame is not None and self.mode == "lossless":
+            self._unanswered -= 1
+
+    def refused(self, controls: list[Control]) -> None:
+        """Controls went down with their frame."""
+        self._controls -= len(controls)
+
+    def take_dropped(self) -> int:
+        """Frames superseded since this was last asked."""
+        dropped, self.dropped = self.dropped, 0
+        return dropped
+
+    def discard(self) -> None:
+        """Forget all that waits."""
+        self._jobs.clear()
+        self._for_next.clear()

@@ -1,0 +1,149 @@
+"""Pixels: of every kind that is accepted, turned as EXIF says, and none from damaged data."""
+
+from __future__ import annotations
+
+import io
+import resource
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from service.frames import FrameError, FrameLimits
+from service.frames.decode import Image, decode
+
+from . import images
+from .images import encode, jpeg, picture
+from .test_header import damaged
+
+LIMITS = FrameLimits()
+
+
+def close(a: Image, b: Image, within: float = 3) -> bool:
+    return a.shape == b.shape and float(np.abs(a.astype(int) - b).mean()) <= within
+
+
+@pytest.mark.parametrize("grey", [False, True])
+@pytest.mark.parametrize(
+    ("extension", "options", "within"),
+    [
+        (".jpg", (), 3),
+        (".jpg", images.PROGRESSIVE, 3),
+        (".png", (), 0),
+        (".webp", (), 0),
+        (".webp", (64, 90), 4),
+    ],
+)
+def test_kinds(extension: str, options: tuple[int, ...], within: float, grey: bool) -> None:
+    source = picture(grey=grey)
+    image, info = decode(encode(extension, source, *options), LIMITS)
+    if grey and extension == ".webp":  # WebP has no grey
+        source = cv2.cvtColor(source, cv2.COLOR_GRAY2BGR)
+    assert image.dtype == np.uint8
+    assert image.flags.c_contiguous
+    assert close(image, source, within)
+    assert info.grey == (image.ndim == 2)
+
+
+def test_deep_and_alpha() -> None:
+    source = picture()
+    deep, _ = decode(encode(".png", source.astype(np.uint16) * 257), LIMITS)
+    assert np.array_equal(deep, source)
+    alpha, _ = decode(encode(".png", np.dstack([source, source[:, :, 0]])), LIMITS)
+    assert np.array_equal(alpha, source)
+
+
+def test_cmyk() -> None:
+    pil = pytest.importorskip("PIL.Image")
+    file = io.BytesIO()
+    pil.fromarray(picture()[:, :, ::-1]).convert("CMYK").save(file, "jpeg", quality=95)
+    image, info = decode(file.getvalue(), LIMITS)
+    assert info.cmyk
+    assert close(image, picture())
+
+
+@pytest.mark.parametrize("kind", ["jpeg", "png", "webp"])
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_orientation(kind: str, orientation: int) -> None:
+    source = picture()
+    upright = {
+        1: lambda a: a,
+        2: np.fliplr,
+        3: lambda a: np.rot90(a, 2),
+        4: np.flipud,
+        5: lambda a: a.swapaxes(0, 1),
+        6: lambda a: np.rot90(a, -1),
+        7: lambda a: np.rot90(a, 2).swapaxes(0, 1),
+        8: np.rot90,
+    }[orientation](source)
+    image, info = decode(images.oriented(kind, source, orientation), LIMITS)
+    assert close(image, upright)
+    assert image.flags.c_contiguous
+    assert (info.height, info.width) == image.shape[:2]
+
+
+@pytest.mark.parametrize("options", [(), images.PROGRESSIVE])
+@pytest.mark.parametrize("grey", [False, True])
+def test_truncated_with_an_end_glued_on(options: tuple[int, ...], grey: bool) -> None:
+    """OpenCV alone makes a picture with grey fill of these."""
+    data = jpeg(*options, grey=grey)
+    for percent in range(5, 100, 5):
+        with pytest.raises(FrameError) as error:
+            decode(data[: (len(data) - 2) * percent // 100] + b"\xff\xd9", LIMITS)
+        assert error.value.code == "frame-undecodable"
+
+
+def test_damaged_png(capfd: pytest.CaptureFixture[str]) -> None:
+    data = encode(".png", picture())
+    for at in range(40, len(data) - 12, len(data) // 20):
+        with pytest.raises(FrameError) as error:
+            decode(images.patched(data, at, data[at] ^ 0x55), LIMITS)
+        assert error.value.code == "frame-undecodable"
+    assert capfd.readouterr().err == ""
+
+
+def test_bombs_cost_nothing() -> None:
+    """Refused by the header: nothing of the declared size is ever allocated."""
+
+    def peak_kb() -> int:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+    bombs = (
+        images.with_size(jpeg(), 32000, 32000),
+        images.with_size(jpeg(), 65500, 65500),
+        images.png_header(12000, 12000),
+        images.riff(images.vp8x(16000, 16000), encode(".webp", picture())[12:]),
+        images.scan_bomb(20_000),
+    )
+    before = peak_kb()
+    for data in bombs:
+        with pytest.raises(FrameError) as error:
+            decode(data, LIMITS)
+        assert error.value.code == "frame-too-large"
+    assert peak_kb() - before < 50_000
+
+
+@settings(max_examples=300)
+@given(damaged())
+def test_fuzz(data: bytes) -> None:
+    try:
+        image, info = decode(data, FrameLimits(max_pixels=1_000_000, max_scans=8))
+    except FrameError:
+        return
+    assert image.shape[:2] == (info.height, info.width)
+
+
+def test_real_frames(otb_root: Path) -> None:
+    seen = 0
+    for path in sorted(otb_root.glob("*/img/*1.jpg"))[::10]:
+        data = path.read_bytes()
+        image, info = decode(data, LIMITS)
+        theirs = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        assert theirs is not None
+        assert image.shape == theirs.shape
+        assert info.grey == (image.ndim == 2)
+        assert float(np.abs(image.astype(int) - theirs).mean()) < 1
+        seen += 1
+    assert seen > 50
