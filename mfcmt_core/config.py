@@ -60,7 +60,7 @@ class MFCMTConfig:
     """How a response becomes a probability map: negatives clipped, minimum subtracted, or not at all."""
     sharpness: int = 1
     """Power, 1 or 2, that a map is raised to before it is normalised."""
-    statistical_weight: float = 1.0
+    statistical_weight: float = 1.5
     """Weight of the statistical map in the weighted equation 9; each template map has 1."""
 
     # Reliability and update (section III-C)
@@ -111,6 +111,7 @@ class MFCMTConfig:
             average="filter",
             probability="clip",
             sharpness=1,
+            statistical_weight=1.0,
             usual_threshold=0.0,
             lost_after=0,
         )

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
-
-import numpy as np
 
 from .config import MFCMTConfig
 from .result import Flags, Scores, Status
@@ -41,8 +40,7 @@ class Reliability:
 
     def __init__(self, config: MFCMTConfig) -> None:
         self.config = config
-        self.history = np.zeros((HISTORY, 3), np.float64)
-        self.seen = 0
+        self.history: deque[tuple[float, float, float]] = deque(maxlen=HISTORY)
         self.usual = 0.0
         self.learned = 0
         self.unreliable_run = 0
@@ -51,14 +49,11 @@ class Reliability:
     def judge(self, peaks: Peaks) -> Verdict:
         """The verdict on a frame, whose peaks join the history."""
         c = self.config
-        values = np.array([peaks.fused, peaks.template, peaks.statistical])
-        known = self.history[: min(self.seen, HISTORY)]
-        means = known.mean(0) if len(known) else values
-        # a flat history (mean 0) tests nothing
-        ratios = [float(v / m) if m > 0 else 1.0 for v, m in zip(values, means, strict=True)]
-        self.history[self.seen % HISTORY] = values
-        self.seen += 1
-        scores = Scores(*ratios)
+        values = (peaks.fused, peaks.template, peaks.statistical)
+        # a flat history (mean 0) and an empty one test nothing
+        means = [sum(column) / len(self.history) for column in zip(*self.history, strict=True)] or values
+        scores = Scores(*(v / m if m > 0 else 1.0 for v, m in zip(values, means, strict=True)))
+        self.history.append(values)
         flags = Flags(
             scores.fused > c.fused_threshold,
             scores.template > c.template_threshold and not self._faint(peaks, c.usual_threshold),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,7 @@ import numpy.typing as npt
 
 from .config import MFCMTConfig
 from .errors import BadConfig, BadSnapshot
+from .reliability import HISTORY
 
 if TYPE_CHECKING:
     from .tracker import Target
@@ -48,7 +50,7 @@ def dump(config: MFCMTConfig, target: Target, frame_size: tuple[int, int]) -> by
         "center": list(target.center),
         "scale": target.scale,
         "reliability": {
-            "seen": r.seen,
+            "history": [list(peaks) for peaks in r.history],
             "usual": r.usual,
             "learned": r.learned,
             "unreliable_run": r.unreliable_run,
@@ -79,7 +81,7 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
         x, y = (_number(v, 0, MAX_SIDE) for v in document["center"])
         r = document["reliability"]
         reliability = {
-            "seen": _integer(r["seen"], 0, 1 << 62),
+            "history": _history(r["history"]),
             "usual": _number(r["usual"], -1e6, 1e6),
             "learned": _integer(r["learned"], 0, 1 << 62),
             "unreliable_run": _integer(r["unreliable_run"], 0, 1 << 62),
@@ -108,7 +110,7 @@ def restore(target: Target, state: State) -> None:
 
 def _arrays(target: Target) -> dict[str, npt.NDArray[Any]]:
     """The live arrays of every model by name; what follows from others is left out."""
-    arrays: dict[str, npt.NDArray[Any]] = {"history": target.reliability.history}
+    arrays: dict[str, npt.NDArray[Any]] = {}
     if t := target.template:
         arrays["filters"] = t.filters
         if t.average == "spectra":
@@ -152,6 +154,15 @@ def _integer(value: Any, low: int, high: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise ValueError(f"{value!r} is not an integer in [{low}, {high}]")
     return value
+
+
+def _history(value: Any) -> deque[tuple[float, float, float]]:
+    if not isinstance(value, list) or len(value) > HISTORY:
+        raise ValueError(f"not a history of at most {HISTORY} frames")
+    rows = [tuple(_number(v, -1e6, 1e6) for v in row) for row in value]
+    if any(len(row) != 3 for row in rows):
+        raise ValueError("a frame has three peaks")
+    return deque(rows, maxlen=HISTORY)  # type: ignore[arg-type]
 
 
 def _boolean(value: Any) -> bool:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import sys
-from typing import Protocol, cast
+from typing import NoReturn, Protocol, cast
 
 from .. import __version__
 from ..errors import MFCMTError
@@ -35,10 +36,18 @@ class UsageError(Exception):
     """The arguments do not fit together or name what is not there: one line, exit code 2."""
 
 
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        """One line instead of the usage."""
+        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
 def main(argv: list[str] | None = None) -> int:
     """Entry point of the console script: 0 done, 1 failed, 2 bad arguments, 130 interrupted."""
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # before numpy is loaded: its matrices are small, and threads only wait
     argv = sys.argv[1:] if argv is None else argv
-    parser = argparse.ArgumentParser(prog="mfcmt", description="Track a target through video on a CPU.")
+    parser = _Parser(prog="mfcmt", description="Track a target through video on a CPU.")
     parser.add_argument("--version", action="version", version=f"mfcmt {__version__}")
     names = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     chosen = next((a for a in argv if a in COMMANDS), None)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import sys
 import time
 from pathlib import Path
 
 from ..otb.catalogue import resolve
 from ..otb.dataset import Dataset, open_otb
+from ..otb.document import to_markdown
+from ..otb.report import Results, summary, write_report
 from ..otb.runner import evaluate
 from ..otb.score import Evaluation
 from ..otb.trackers import Entry, ResultFolder
@@ -43,6 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default=Path("results"),
         help="folder of result files; finished work there is kept (default: results)",
     )
+    parser.add_argument("--report", type=Path, metavar="FOLDER", help="write tables, plots, CSV and JSON there")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes (default: one a CPU)")
 
 
@@ -54,12 +58,18 @@ def run(args: argparse.Namespace) -> int:
     dataset = _dataset(args)
     trackers = [resolve(text, args.results) for given in args.trackers for text in given.split(",") if text]
     lost = False
+    results: Results = {}
     for protocol in protocols:
         evaluations = evaluate(
             dataset, trackers, protocol, results=args.results, jobs=args.jobs, progress=_progress(protocol)
         )
-        print(_table(dataset, protocol, evaluations))
+        results[protocol] = evaluations
+        title = f"{dataset.name} {protocol}, {dataset.coverage} targets"
+        print(to_markdown([title, summary(evaluations, dataset)]))
         lost |= _complain(trackers, evaluations)
+    if args.report is not None:
+        write_report(args.report, dataset, results, command=shlex.join(["mfcmt", *sys.argv[1:]]))
+        print(args.report / "report.html")
     return int(lost)
 
 
@@ -72,21 +82,6 @@ def _dataset(args: argparse.Namespace) -> Dataset:
     if dataset.missing:
         print(f"{dataset.coverage} targets; not here: {', '.join(dataset.missing)}", file=sys.stderr)
     return dataset
-
-
-def _table(dataset: Dataset, protocol: str, evaluations: list[Evaluation]) -> str:
-    lines = [
-        f"{dataset.name} {protocol}, {dataset.coverage} targets",
-        "",
-        "| tracker | success | precision | norm. precision | FPS | targets |",
-        "|---|---|---|---|---|---|",
-    ]
-    for e in sorted((e for e in evaluations if e.scores), key=lambda e: -e.success):
-        fps = "–" if e.fps is None else f"{e.fps:.0f}"
-        lines.append(
-            f"| {e.tracker} | {e.success:.3f} | {e.precision:.3f} | {e.norm_precision:.3f} | {fps} | {len(e.scores)} |"
-        )
-    return "\n".join(lines) + "\n"
 
 
 def _complain(trackers: list[Entry | ResultFolder], evaluations: list[Evaluation]) -> bool:

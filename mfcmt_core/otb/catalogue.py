@@ -1,23 +1,153 @@
-"""Trackers by name, for the command line: presets, configuration files, folders of results."""
+"""Trackers by name: presets, ablations, the paper's rivals as configurations of our engine, peers, files."""
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import tomllib
-from collections.abc import Callable
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from ..config import MFCMTConfig
+from ..config import PRESETS, MFCMTConfig
 from ..errors import BadConfig
 from .errors import DataError
 from .peers import PEERS, Peer
 from .protocol import PROTOCOLS
 from .trackers import Engine, Entry, ResultFolder
 
-PRESETS: dict[str, Callable[[], MFCMTConfig]] = {"default": MFCMTConfig.default, "paper": MFCMTConfig.paper}
+ALWAYS_UPDATE: dict[str, Any] = {
+    "fused_threshold": 0.0,
+    "template_threshold": 0.0,
+    "statistical_threshold": 0.0,
+    "usual_threshold": 0.0,
+    "lost_after": 0,
+}
+FIXED_MERGE: dict[str, Any] = {"probability": "raw", "sharpness": 1, "statistical_weight": 0.3 / 0.7}
+"""Staple's: 0.7 template + 0.3 histogram, of the responses as they are."""
+
+ABLATIONS: dict[str, dict[str, Any]] = {
+    "gray": {"features": ("gray",), "color_histogram": False},
+    "fhog": {"features": ("fhog",), "color_histogram": False},
+    "color-names": {"features": ("gray", "color_names"), "color_histogram": False},
+    "histogram": {"features": (), "color_histogram": True},
+    "no-histogram": {"color_histogram": False},
+    "fixed-merge": FIXED_MERGE,
+    "always-update": ALWAYS_UPDATE,
+    "always-scale": {"scale_when_reliable": False},
+    "no-scale": {"num_scales": 1},
+}
+"""``<preset>-<ablation>``: a preset with one thing taken away or one thing left. Colour names keep the raw
+pixels, since grey sequences have nothing else."""
+
+_TEMPLATE_ONLY: dict[str, Any] = {
+    **ALWAYS_UPDATE,
+    "probability": "raw",
+    "sharpness": 1,
+    "joint_filter": True,
+    "color_histogram": False,
+    "window": "target",
+    "patch_size": 150,
+}
+
+SYSTEMS: dict[str, dict[str, Any]] = {
+    # Bertinetto et al., 2016: HOG and colour histogram, fixed merge, every frame learned
+    "staple": {
+        **ALWAYS_UPDATE,
+        **FIXED_MERGE,
+        "features": ("fhog",),
+        "joint_filter": True,
+        "color_histogram": True,
+        "window": "context",
+        "search_area_scale": 2.0,
+        "patch_size": 150,
+        "template_learning_rate": 0.01,
+        "histogram_learning_rate": 0.04,
+        "foreground_fraction": 0.8,
+        "num_scales": 33,
+    },
+    # Li and Zhu, 2014: raw pixels, HOG and colour names in one filter
+    "samf": {
+        **_TEMPLATE_ONLY,
+        "features": ("gray", "fhog", "color_names"),
+        "search_area_scale": 2.5,
+        "output_sigma_factor": 0.1,
+        "template_learning_rate": 0.01,
+        "num_scales": 33,
+    },
+    # Danelljan et al., 2014: HOG and the scale filter
+    "dsst": {
+        **_TEMPLATE_ONLY,
+        "features": ("fhog",),
+        "search_area_scale": 2.0,
+        "regularization": 1e-2,
+        "template_learning_rate": 0.025,
+        "num_scales": 33,
+    },
+    # Henriques et al., 2015, with the linear kernel, which makes KCF and DCF one
+    "kcf": {
+        **_TEMPLATE_ONLY,
+        "features": ("fhog",),
+        "search_area_scale": 2.5,
+        "regularization": 1e-4,
+        "output_sigma_factor": 0.1,
+        "template_learning_rate": 0.02,
+        "average": "filter",
+        "num_scales": 1,
+    },
+    # Danelljan et al., 2014: colour names beside the raw pixels
+    "cn": {
+        **_TEMPLATE_ONLY,
+        "features": ("gray", "color_names"),
+        "search_area_scale": 2.0,
+        "regularization": 1e-2,
+        "template_learning_rate": 0.075,
+        "num_scales": 1,
+    },
+    # Henriques et al., 2012: raw pixels
+    "csk": {
+        **_TEMPLATE_ONLY,
+        "features": ("gray",),
+        "search_area_scale": 2.0,
+        "regularization": 1e-2,
+        "template_learning_rate": 0.075,
+        "average": "filter",
+        "num_scales": 1,
+    },
+    # Bolme et al., 2010: raw pixels, numerator and denominator averaged at a high rate
+    "mosse": {
+        **_TEMPLATE_ONLY,
+        "features": ("gray",),
+        "search_area_scale": 2.0,
+        "template_learning_rate": 0.125,
+        "average": "spectra",
+        "num_scales": 1,
+    },
+    # Possegger et al., 2015: the colour histogram alone
+    "dat": {
+        **ALWAYS_UPDATE,
+        "features": (),
+        "color_histogram": True,
+        "probability": "raw",
+        "sharpness": 1,
+        "window": "context",
+        "search_area_scale": 2.0,
+        "patch_size": 150,
+        "num_scales": 1,
+    },
+}
+"""What the paper compares with or builds on, out of our own parts: not the authors' trackers."""
+SYSTEMS["dcf"] = SYSTEMS["kcf"]
+
+
+def named_config(name: str) -> MFCMTConfig | None:
+    """The configuration of a preset, of ``<preset>-<ablation>`` or of a system; None for another name."""
+    if name in PRESETS:
+        return MFCMTConfig.preset(name)
+    if name in SYSTEMS:
+        return MFCMTConfig.default().replace(**SYSTEMS[name])
+    preset, _, ablation = name.partition("-")
+    if preset in PRESETS and ablation in ABLATIONS:
+        return MFCMTConfig.preset(preset).replace(**ABLATIONS[ablation])
+    return None
 
 
 def resolve(text: str, results: Path | None = None) -> Entry | ResultFolder:
@@ -27,8 +157,8 @@ def resolve(text: str, results: Path | None = None) -> Entry | ResultFolder:
     Raises DataError for an unknown name and for a configuration that is not valid.
     """
     label, _, what = text.rpartition("=")
-    if what in PRESETS:
-        return Engine(label or what, PRESETS[what]())
+    if (config := named_config(what)) is not None:
+        return Engine(label or what, config)
     if what in PEERS:
         peer = Peer(label or what, what)
         if peer.lacks:
@@ -41,24 +171,24 @@ def resolve(text: str, results: Path | None = None) -> Entry | ResultFolder:
         return ResultFolder(label or path.resolve().name, path)
     if path.is_file():
         return Engine(label or path.stem, read_config(path))
-    raise DataError(f"no tracker {what!r}: neither a file, nor a folder, nor one of {', '.join([*PRESETS, *PEERS])}")
+    names = [*PRESETS, *SYSTEMS, *PEERS]
+    raise DataError(f"no tracker {what!r}: neither a file, nor a folder, nor one of {', '.join(names)}")
 
 
 def read_config(path: Path) -> MFCMTConfig:
-    """A configuration in TOML or JSON: fields of MFCMTConfig, and ``base``, the preset to start from."""
+    """A configuration in TOML or JSON: fields of MFCMTConfig and ``base``, the name to start from.
+
+    Raises DataError.
+    """
     try:
         text = path.read_text(encoding="utf-8")
         given: dict[str, Any] = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
     except (OSError, ValueError) as failed:
         raise DataError(f"{path}: {failed}") from None
-    base = given.pop("base", "default")
-    if base not in PRESETS:
-        raise DataError(f"{path}: no preset {base!r}; there is {', '.join(PRESETS)}")
-    known = {f.name for f in fields(MFCMTConfig)}
-    if unknown := sorted(set(given) - known):
-        raise DataError(f"{path}: MFCMTConfig has no {', '.join(unknown)}")
-    values = {name: tuple(v) if isinstance(v, list) else v for name, v in given.items()}
+    base = named_config(str(given.pop("base", "default")))
+    if base is None:
+        raise DataError(f"{path}: base is not a name of a configuration")
     try:
-        return dataclasses.replace(PRESETS[base](), **values)
+        return MFCMTConfig.from_dict(base.to_dict() | given)
     except BadConfig as bad:
         raise DataError(f"{path}: {bad}") from None

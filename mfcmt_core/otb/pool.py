@@ -70,11 +70,10 @@ def run_jobs(jobs: Iterable[Job], workers: int, tick: Tick) -> Iterator[tuple[Jo
 
 
 class _Runner:
-    """Runs jobs; remembers which trackers are warm and the frames of the last sequence."""
+    """Runs jobs; keeps the frames of the last sequence where the next job may want them."""
 
     def __init__(self, tick: Tick) -> None:
         self._tick = tick
-        self._warm: set[str] = set()
         self._owner: tuple[object, ...] = ()
         self._kept: dict[int, Image] = {}
         self._kept_bytes = 0
@@ -94,7 +93,8 @@ class _Runner:
                     if step < 0:
                         continue
                     if step == 0:
-                        self._warm_up(job.entry, image, run)
+                        if not trackers:
+                            self._warm_up(job, image, run)
                         trackers[run.key] = job.entry.make()
                         begun = time.perf_counter()
                         trackers[run.key].init(image, run.box)
@@ -117,14 +117,13 @@ class _Runner:
         }
         return Outcome(boxes, speeds)
 
-    def _warm_up(self, entry: Entry, image: Image, run: Run) -> None:
-        """Compile and load what the tracker needs, so that its first sequence is timed like the others."""
-        if entry.name not in self._warm:
-            self._warm.add(entry.name)
-            with suppress(Exception):  # what is wrong shows in the run itself
-                tracker = entry.make()
-                tracker.init(image, run.box)
-                tracker.update(image)
+    def _warm_up(self, job: Job, image: Image, run: Run) -> None:
+        """Compile and load what the tracker needs on such frames, so that no frame is timed with it."""
+        with suppress(Exception):  # what is wrong shows in the run itself
+            tracker = job.entry.make()
+            tracker.init(image, run.box)
+            tracker.update(image)
+            tracker.update(image)
 
     def _read(self, job: Job, index: int) -> Image:
         if self._owner != job.sequence.frames:

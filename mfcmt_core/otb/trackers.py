@@ -7,7 +7,7 @@ import functools
 import hashlib
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -59,7 +59,9 @@ class Engine:
 
     @property
     def identity(self) -> dict[str, Any]:
-        return {"code": code_hash(), "config": asdict(self.config)}
+        table = self.config.color_name_table
+        more = {"table": hashlib.sha256(Path(table).read_bytes()).hexdigest()} if table else {}
+        return {"code": code_hash(), "config": self.config.to_dict(), **more}
 
     def make(self) -> Tracker:
         return MFCMT(self.config)
@@ -103,7 +105,12 @@ class ResultFolder:
             return None
         seconds = read_boxes(path, (1,))[:, 0]
         seconds = seconds[seconds > 0]
-        return Speed(len(seconds), float(seconds.sum()), float(np.mean(1 / seconds))) if len(seconds) else None
+        rate = float(np.mean(1 / seconds)) if len(seconds) else 0.0
+        return Speed(len(seconds), float(seconds.sum()), rate) if len(seconds) else None
+
+
+BESIDE_THE_TRACKER = {"otb", "cli", "synthetic", "adapters.py"}
+"""Parts of the package that do not change what the tracker does."""
 
 
 @functools.cache
@@ -111,22 +118,19 @@ def code_hash() -> str:
     """Hash of the tracker's source: comments, docstrings and layout do not change it."""
     package = Path(__file__).resolve().parents[1]
     digest = hashlib.sha256()
-    for path in sorted(package.rglob("*")):
+    for path in sorted(package.rglob("*.py")):
         part = path.relative_to(package)
-        if part.parts[0] in ("otb", "cli", "adapters", "adapters.py", "synthetic.py") or "__pycache__" in part.parts:
-            continue
-        if path.suffix == ".py":
-            tree = ast.parse(path.read_text(encoding="utf-8"))
-            for node in ast.walk(tree):
-                if (
-                    isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
-                    and ast.get_docstring(node) is not None
-                ):
-                    del node.body[0]
+        if part.parts[0] not in BESIDE_THE_TRACKER:
+            tree = _WithoutStrings().visit(ast.parse(path.read_text(encoding="utf-8")))
             digest.update(f"{part}\n{ast.dump(tree)}\n".encode())
-        elif path.is_file() and path.suffix in (".npy", ".npz", ".csv", ".json"):
-            digest.update(f"{part}\n".encode() + path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+class _WithoutStrings(ast.NodeTransformer):
+    """Drops strings that stand alone: docstrings and the notes under fields."""
+
+    def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
+        return None if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str) else node
 
 
 def identity_hash(identity: dict[str, Any]) -> str:

@@ -1,0 +1,137 @@
+"""Frames from a folder, a video file or a camera; video to a file."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # its warnings would break the one-line errors
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from . import UsageError
+
+Image = npt.NDArray[np.uint8]
+
+IMAGES = {".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp"}
+CODECS = {".mp4": "mp4v", ".mkv": "mp4v", ".avi": "MJPG", ".webm": "VP80"}
+
+
+class MediaError(Exception):
+    """A frame cannot be read or a video not be written: one line, exit code 1."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where frames come from: ``frames`` once, in order; ``length`` where it is known beforehand."""
+
+    frames: Iterator[Image]
+    length: int | None
+    fps: float
+    live: bool = False
+
+
+def open_source(text: str) -> Source:
+    """A folder of images (or of OTB: with them in ``img``), a video file, or the number of a camera.
+
+    Raises UsageError where there is no such thing; reading raises MediaError.
+    """
+    path = Path(text)
+    if path.is_dir():
+        return _folder(path)
+    if path.is_file():
+        if path.suffix.lower() in IMAGES:
+            raise UsageError(f"{text} is one image; name its folder")
+        return _video(str(path))
+    if text.isascii() and text.isdigit():
+        return _video(int(text))
+    raise UsageError(f"no folder, video file or camera: {text}")
+
+
+def _folder(path: Path) -> Source:
+    def listed(folder: Path) -> list[Path]:
+        found = [f for f in folder.iterdir() if f.suffix.lower() in IMAGES and not f.name.startswith(".")]
+        return sorted(found, key=lambda f: [int(p) if p.isdigit() else p for p in re.split(r"([0-9]+)", f.name)])
+
+    files = listed(path)
+    if not files and (path / "img").is_dir():
+        files = listed(path / "img")
+    if not files:
+        raise UsageError(f"no images in {path}")
+
+    def frames() -> Iterator[Image]:
+        for file in files:
+            image = cv2.imread(str(file), cv2.IMREAD_COLOR)
+            if image is None:
+                raise MediaError(f"cannot read {file}")
+            yield np.asarray(image, np.uint8)
+
+    return Source(frames(), len(files), 30.0)
+
+
+def _video(name: str | int) -> Source:
+    with _silence():
+        capture = cv2.VideoCapture(name)
+    if not capture.isOpened():
+        raise UsageError(f"no camera {name}" if isinstance(name, int) else f"not a video: {name}")
+
+    def frames() -> Iterator[Image]:
+        try:
+            while True:
+                ok, image = capture.read()
+                if not ok:
+                    return
+                yield np.asarray(image, np.uint8)
+        finally:
+            capture.release()
+
+    live = isinstance(name, int)
+    length, fps = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), capture.get(cv2.CAP_PROP_FPS)
+    return Source(frames(), length if length > 0 and not live else None, fps if 0 < fps < 1000 else 30.0, live)
+
+
+class VideoFile:
+    """A video file, opened with the size of its first frame. Raises UsageError for an unknown suffix."""
+
+    def __init__(self, path: str, fps: float) -> None:
+        if Path(path).suffix.lower() not in CODECS:
+            raise UsageError(f"no codec for {path}; there are {', '.join(CODECS)}")
+        if not Path(path).resolve().parent.is_dir():
+            raise UsageError(f"no folder for {path}")
+        self._path, self._fps = path, fps
+        self._writer: cv2.VideoWriter | None = None
+
+    def write(self, frame: Image) -> None:
+        """Add a BGR frame. Raises MediaError."""
+        if self._writer is None:
+            fourcc = cv2.VideoWriter.fourcc(*CODECS[Path(self._path).suffix.lower()])
+            with _silence():
+                self._writer = cv2.VideoWriter(self._path, fourcc, self._fps, frame.shape[1::-1])
+            if not self._writer.isOpened():
+                raise MediaError(f"cannot write {self._path}")
+        self._writer.write(frame)
+
+    def close(self) -> None:
+        """Finish the file."""
+        if self._writer is not None:
+            self._writer.release()
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[None]:
+    """What the codecs print on the standard error by themselves goes nowhere."""
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)

@@ -1,0 +1,136 @@
+"""``mfcmt track``: follow a box through a folder of images, a video or a camera."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack
+from itertools import chain
+from pathlib import Path
+from typing import TextIO
+
+import cv2
+import numpy as np
+
+from ..config import PRESETS, MFCMTConfig
+from ..errors import BadBox
+from ..otb.catalogue import read_config
+from ..otb.errors import DataError
+from ..result import Box, TrackResult
+from ..tracker import MFCMT
+from . import UsageError, formats
+from .media import Image, MediaError, Source, VideoFile, open_source
+from .overlay import Overlay
+from .progress import Progress
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument("source", metavar="SOURCE", help="a folder of images, a video file or a camera's number")
+    start = parser.add_mutually_exclusive_group(required=True)
+    start.add_argument("--box", metavar="X,Y,W,H", help="the target in the first frame, px, 0-based")
+    start.add_argument("--select", action="store_true", help="draw the box in a page that opens in the browser")
+    parser.add_argument("--no-browser", action="store_true", help="with --select: print the page's address only")
+    parser.add_argument("--format", choices=sorted(formats.FORMATS), help="default: by the suffix, else csv")
+    parser.add_argument("--output", metavar="FILE", help="where the boxes go; default: the standard output")
+    parser.add_argument("--video", metavar="FILE", help="also write an annotated video (.mp4, .mkv, .avi, .webm)")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--preset", choices=PRESETS, default="default")
+    which.add_argument("--config", metavar="FILE", help="TOML or JSON: fields of MFCMTConfig, and base, a preset")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do the work; the exit code."""
+    box = _box(args.box) if args.box is not None else None
+    config = _config(args.preset, args.config)
+    style = args.format or formats.SUFFIXES.get(Path(args.output or "").suffix.lower(), "csv")
+    source = open_source(args.source)
+    video = VideoFile(args.video, source.fps) if args.video else None
+    if args.output and not Path(args.output).resolve().parent.is_dir():
+        raise UsageError(f"no folder for {args.output}")
+    cv2.setNumThreads(1)  # more threads cost processor time and bring no frames
+    try:
+        first = next(source.frames, None)
+        if first is None:
+            raise MediaError(f"no frames in {args.source}")
+        if box is None:
+            from .pick import pick_box
+
+            box = pick_box(first, browser=not args.no_browser)
+        tracker = MFCMT(config)
+        try:
+            start = tracker.init(first, box)
+        except BadBox as bad:
+            raise UsageError(f"box {','.join(f'{v:g}' for v in box)}: {bad}") from bad
+        counts = _follow(tracker, start, first, source, style, args.output, video)
+    except MediaError as failed:
+        print(f"mfcmt track: {failed}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:  # the reader has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    if sys.stderr.isatty():
+        print(", ".join(f"{n} {status}" for status, n in counts.items()), file=sys.stderr)
+    return 0
+
+
+def _follow(
+    tracker: MFCMT,
+    start: TrackResult,
+    first: Image,
+    source: Source,
+    style: str,
+    output: str | None,
+    video: VideoFile | None,
+) -> Counter[str]:
+    """Track to the end, writing as it goes; how many frames had which status."""
+    c = tracker.config
+    overlay = Overlay((c.fused_threshold, c.template_threshold, c.statistical_threshold)) if video else None
+    counts: Counter[str] = Counter()
+
+    def results() -> Iterator[TrackResult]:
+        try:
+            for frame in chain([first], source.frames):
+                result = start if frame is first else tracker.update(frame)
+                if video and overlay:
+                    video.write(overlay.draw(frame, result))
+                yield result
+        except KeyboardInterrupt:
+            if not source.live:  # a camera has no other end
+                raise
+
+    with ExitStack() as stack:
+        if video:
+            stack.callback(video.close)
+        sink: TextIO = stack.enter_context(open(output, "w", newline="\n")) if output else sys.stdout
+        bar = stack.enter_context(Progress(source.length))
+        for result, text in formats.lines(style, results()):
+            sink.write(text)
+            if source.live:
+                sink.flush()
+            counts[result.status] += 1
+            bar.step(result.status)
+        sink.flush()
+    return counts
+
+
+def _box(text: str) -> Box:
+    try:
+        x, y, w, h = (float(v) for v in text.split(","))
+    except ValueError:
+        raise UsageError(f"--box takes four numbers x,y,w,h, not {text!r}") from None
+    if not np.isfinite([x, y, w, h]).all() or w <= 0 or h <= 0:
+        raise UsageError(f"--box has no area: {text}")
+    return x, y, w, h
+
+
+def _config(preset: str, file: str | None) -> MFCMTConfig:
+    if file is None:
+        return MFCMTConfig.preset(preset)
+    try:
+        return read_config(Path(file))
+    except DataError as bad:
+        raise UsageError(str(bad)) from bad

@@ -1,0 +1,108 @@
+"""A page of headings, paragraphs, tables and figures, as Markdown and as one self-contained HTML file."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Iterable
+from collections.abc import Sequence as Seq
+from dataclasses import dataclass
+
+
+class Strong(str):
+    """A cell to stand out."""
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A title; ``level`` 1 is the page's."""
+
+    text: str
+    level: int = 2
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text; the first column is the name of the row."""
+
+    header: Seq[str]
+    rows: Seq[Seq[str]]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure; ``name`` is its file's, without suffix."""
+
+    name: str
+    title: str
+    svg: str
+
+
+Block = Heading | Table | Picture | str
+
+
+def to_markdown(blocks: Iterable[Block]) -> str:
+    """Markdown; pictures are linked as ``<name>.svg``."""
+    return "\n\n".join(_markdown(b) for b in blocks) + "\n"
+
+
+def to_html(title: str, blocks: Iterable[Block]) -> str:
+    """One file with everything in it."""
+    return _PAGE.format(title=html.escape(title), body="\n".join(_html(b) for b in blocks))
+
+
+def _markdown(block: Block) -> str:
+    match block:
+        case Heading():
+            return "#" * block.level + " " + block.text
+        case Table():
+            lines = [block.header, ["---"] * len(block.header), *block.rows]
+            return "\n".join("| " + " | ".join(map(_cell, line)) + " |" for line in lines)
+        case Picture():
+            return f"![{block.title}]({block.name}.svg)"
+        case _:
+            return block
+
+
+def _cell(text: str) -> str:
+    escaped = text.replace("|", "\\|")
+    return f"**{escaped}**" if isinstance(text, Strong) else escaped
+
+
+def _html(block: Block) -> str:
+    match block:
+        case Heading():
+            return f"<h{block.level}>{html.escape(block.text)}</h{block.level}>"
+        case Table():
+            head = "".join(f"<th>{html.escape(h)}</th>" for h in block.header)
+            body = "\n".join("<tr>" + "".join(map(_html_cell, row)) + "</tr>" for row in block.rows)
+            return f"<div><table><thead><tr>{head}</tr></thead><tbody>\n{body}\n</tbody></table></div>"
+        case Picture():
+            data = base64.b64encode(block.svg.encode()).decode()
+            return f'<img alt="{html.escape(block.title)}" src="data:image/svg+xml;base64,{data}">'
+        case _:
+            return f"<p>{html.escape(block)}</p>"
+
+
+def _html_cell(text: str) -> str:
+    escaped = html.escape(text)
+    return f"<td><b>{escaped}</b></td>" if isinstance(text, Strong) else f"<td>{escaped}</td>"
+
+
+_PAGE = """<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title>
+<style>
+:root {{ color-scheme: light dark }}
+body {{ font: 15px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem }}
+div {{ overflow-x: auto }}
+table {{ border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums }}
+th, td {{ padding: .2rem .7rem; border-bottom: 1px solid #8884; text-align: right; white-space: nowrap }}
+th:first-child, td:first-child {{ text-align: left }}
+img {{ max-width: 100%; background: #fff; border-radius: 4px; margin: .5rem 0 }}
+</style>
+{body}
+</html>
+"""

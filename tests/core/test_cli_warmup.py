@@ -1,0 +1,83 @@
+"""``mfcmt warmup``: afterwards nothing is compiled any more, wherever the cache lies."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numba.core.caching
+import numpy as np
+
+from mfcmt_core.cli import warmup
+from mfcmt_core.kernels._jit import kernel
+
+SCRIPT = Path(sys.executable).with_name("mfcmt")
+
+TRACK_EVERYTHING = """
+from mfcmt_core import MFCMT, synthetic
+from mfcmt_core.cli import warmup
+for name in synthetic.SCENES:
+    clip = synthetic.clip(name, length=24)
+    for i, result in enumerate(MFCMT().track(clip.frames, clip.boxes[0])):
+        if name == "large" and i == 3:
+            break
+strided = synthetic.clip("motion").frames[0][::2, ::2]
+list(MFCMT().track([strided, strided[::-1]], (60, 45, 30, 20)))
+print(sum(len(d.stats.cache_misses) for d in warmup.dispatchers()))
+print(sum(len(d.stats.cache_hits) for d in warmup.dispatchers()))
+"""
+
+ONE_KERNEL = """
+import numpy as np
+from mfcmt_core.kernels.cells import gray_cells as k
+k(np.zeros((8, 8), np.uint8), np.ones((2, 2), np.float32), np.ones((2, 2), np.float32))
+print(len(k.stats.cache_misses), len(k.stats.cache_hits))
+"""
+
+
+def run(*words: object, **changes: str) -> str:
+    done = subprocess.run(
+        list(map(str, words)),
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"} | changes,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout
+
+
+def test_warm_means_that_nothing_is_compiled():
+    run(SCRIPT, "warmup")
+    said = run(SCRIPT, "warmup")
+    assert f"{len(list(warmup.dispatchers()))} kernels are ready" in said
+    assert len(said.splitlines()) == 1
+    misses, hits = map(int, run(sys.executable, "-c", TRACK_EVERYTHING).split())
+    assert misses == 0
+    assert hits >= 10
+
+
+def test_prebuilt_kernels_are_copied_to_where_one_may_write(tmp_path):
+    run(SCRIPT, "warmup")
+    said = run(SCRIPT, "warmup", NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+    assert "kernels are ready" in said
+    assert str(tmp_path) in said
+    assert run(sys.executable, "-c", TRACK_EVERYTHING, NUMBA_CACHE_DIR=str(tmp_path / "cache")).split()[0] == "0"
+
+
+def test_another_cpu_compiles_its_own_beside_the_others(tmp_path):
+    cache = {"NUMBA_CACHE_DIR": str(tmp_path)}
+    assert run(sys.executable, "-c", ONE_KERNEL, **cache) == "1 0\n"
+    assert run(sys.executable, "-c", ONE_KERNEL, NUMBA_CPU_NAME="generic", **cache) == "1 0\n"
+    for cpu in ({}, {"NUMBA_CPU_NAME": "generic"}):
+        assert run(sys.executable, "-c", ONE_KERNEL, **cpu, **cache) == "0 1\n"
+
+
+def test_without_any_place_for_the_cache_kernels_still_work(monkeypatch):
+    monkeypatch.setattr(numba.core.caching.CacheImpl, "_locator_classes", [])
+    double = kernel(lambda x: x + x)
+    assert double(np.float32(2)) == 4
+    assert double.stats.cache_path is None
