@@ -18,6 +18,8 @@ Spectra = npt.NDArray[np.complex64]
 
 LANES = 8
 """Scales are padded to a multiple of this many SIMD lanes."""
+MAX_SAMPLE_SIDE = 64
+"""Pixels: together with the area this bounds the cost for targets of any aspect."""
 MIN_SIDE = 5.0
 """Pixels; a target is not followed below this size, unless it began smaller."""
 OVERSAMPLING = 2.0
@@ -40,8 +42,7 @@ class ScaleModel:
         self.epsilon = np.float32(config.hog_epsilon)
         self.base_size = base_size
         shrink = sqrt(config.scale_max_area / (base_size[0] * base_size[1]))
-        self.width = max(2 * CELL, round(base_size[0] * shrink / CELL) * CELL)
-        self.height = max(2 * CELL, round(base_size[1] * shrink / CELL) * CELL)
+        self.width, self.height = (_sample_side(side * shrink) for side in base_size)
         lanes = -(-n // LANES) * LANES
         exponents = np.arange(n) - n // 2
         self.factors = np.ones(lanes, np.float32)
@@ -63,7 +64,9 @@ class ScaleModel:
         """The factor by which the target's size differs from the one that ``spectra`` were taken at."""
         response_f = np.empty(len(self.denominator), np.complex64)
         respond_scales(spectra, self.numerator, self.denominator, self.regularization, response_f)
-        return float(self.factors[np.fft.irfft(response_f, self.count).argmax()])
+        response = np.fft.irfft(response_f, self.count)
+        best, same = response.argmax(), self.count // 2
+        return float(self.factors[best if response[best] > response[same] else same])
 
     def learn(self, spectra: Spectra, first: bool = False) -> None:
         """Move the filter towards the target, whose present size ``spectra`` were taken at."""
@@ -100,6 +103,11 @@ class ScaleModel:
         spectra = scratch("scale_spectra", (len(features), self.dft.shape[1]))
         np.dot(features, self.dft, out=spectra)
         return spectra.view(np.complex64)
+
+
+def _sample_side(side: float) -> int:
+    """A whole number of cells near ``side``; a sliver of a target does not make a sliver of a sample."""
+    return min(max(round(side / CELL) * CELL, 2 * CELL), MAX_SAMPLE_SIDE)
 
 
 def _gray_cut(
