@@ -10,7 +10,7 @@ from typing import Any
 from mfcmt_core import MFCMT, MFCMTConfig, TrackResult
 
 from ..frames import FrameError, FrameLimits, inspect
-from ..frames.decode import decode
+from ..frames.decode import decode, pixels
 from .rows import Rect, covers, from_row, map_images, to_row, union
 from .view import Refused, View
 
@@ -158,7 +158,7 @@ class HostedSession:
             size = (info.width, info.height)
             if self._size != (0, 0):
                 self._check_place(size, region)
-            image, _ = decode(data, limits)
+            image = pixels(data, info)
         except FrameError as bad:
             raise Refused(bad.code, bad.detail) from bad
         return View(image, (0, 0), size) if region is None else View(image, (region[0], region[1]), self._size)
