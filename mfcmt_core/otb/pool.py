@@ -144,7 +144,7 @@ class _Worker:
         context = get_context("spawn")
         self.pipe, far_end = context.Pipe()
         self.process = context.Process(target=_serve, args=(far_end,), daemon=True)
-        with _one_thread_environment():
+        with _one_thread_environment(), _no_interrupt():
             self.process.start()
         far_end.close()
         self.job: Job | None = None
@@ -194,7 +194,7 @@ def _in_processes(queue: deque[Job], workers: int, tick: Tick) -> Iterator[tuple
 
 
 def _serve(pipe: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which stops us
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
     runner = _Runner(pipe.send)
     while True:
@@ -212,6 +212,19 @@ def _one_thread() -> Iterator[None]:
         yield
     finally:
         cv2.setNumThreads(before)
+
+
+@contextmanager
+def _no_interrupt() -> Iterator[None]:
+    """What starts in here does not hear Ctrl-C: that is for the parent, which stops it."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

@@ -35,21 +35,25 @@ Results = dict[str, list[Evaluation]]
 """Evaluations by protocol."""
 
 
-def write_report(folder: Path, dataset: Dataset, results: Results, *, command: str = "") -> None:
+def write_report(
+    folder: Path, dataset: Dataset, results: Results, *, command: str = "", films: Seq[Picture] = ()
+) -> None:
     """Write ``report.html`` (self-contained), ``report.md`` and its plots, ``scores.csv``, ``scores.json``.
 
     The first tracker is the one that the others are compared with. Without matplotlib there are no plots.
     """
     folder.mkdir(parents=True, exist_ok=True)
     title = f"{dataset.name}: {dataset.coverage} targets"
-    blocks = list(_blocks(title, dataset, results, command))
+    blocks = _blocks(title, dataset, results, command)
+    if films:
+        blocks += [Heading("Films"), *films]
     (folder / "report.md").write_text(to_markdown(blocks), encoding="utf-8")
     (folder / "report.html").write_text(to_html(title, blocks), encoding="utf-8")
     (folder / "scores.csv").write_text(to_csv(results), encoding="utf-8")
     (folder / "scores.json").write_text(json.dumps(to_dict(dataset, results), indent=1) + "\n", encoding="utf-8")
     for block in blocks:
         if isinstance(block, Picture):
-            (folder / f"{block.name}.svg").write_text(block.svg, encoding="utf-8")
+            (folder / block.file).write_bytes(block.data)
 
 
 def summary(evaluations: Seq[Evaluation], dataset: Dataset) -> Table:
@@ -220,11 +224,11 @@ def _protocol(protocol: str, evaluations: list[Evaluation], dataset: Dataset) ->
         for kind in (plots.SUCCESS, plots.PRECISION, plots.NORM_PRECISION):
             name = f"{protocol.lower()}_{kind.metric}"
             heading = f"{kind.title} plots of {label}"
-            blocks.append(Picture(name, heading, plots.plot(kind, ranked, heading)))
+            blocks.append(Picture(name, heading, plots.plot(kind, ranked, heading).encode()))
         if has_attributes:
             heading = f"Success plots of {label} by attribute"
             svg = plots.attribute_plots(plots.SUCCESS, ranked, dataset, heading)
-            blocks.append(Picture(f"{protocol.lower()}_attributes", heading, svg))
+            blocks.append(Picture(f"{protocol.lower()}_attributes", heading, svg.encode()))
     else:
         blocks.append("No plots: matplotlib is not installed (pip install 'mfcmt[eval]').")
     if len(evaluations) > 1:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import metrics
-from .dataset import ONE_BASED, Dataset, Sequence
+from .dataset import NO_AREA, ONE_BASED, Dataset, Sequence
 from .errors import DataError
 from .metrics import Array, Mask
 from .protocol import PROTOCOLS, Run, to_original_size
@@ -148,6 +148,6 @@ def score(dataset: Dataset, boxes: Mapping[str, npt.ArrayLike], tracker: str = "
 
 
 def _repaired(boxes: Array) -> Array:
-    usable: Mask = np.all(np.isfinite(boxes) & (boxes > [-np.inf, -np.inf, 0, 0]), axis=1)
+    usable: Mask = np.all(np.isfinite(boxes) & (boxes > NO_AREA), axis=1)
     usable[0] = True  # the first is replaced by the truth anyway
     return np.asarray(boxes[np.maximum.accumulate(np.where(usable, np.arange(len(boxes)), 0))])

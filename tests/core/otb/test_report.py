@@ -124,7 +124,7 @@ def test_the_same_scores_give_the_same_files(tmp_path: Path, evaluations: list[E
 
 
 def test_markdown_and_html_escape_what_they_must() -> None:
-    blocks = [Heading("A & B", 1), "x < y", Table(["a|b"], [[Strong("1|2")]]), Picture("p", "P", "<svg/>")]
+    blocks = [Heading("A & B", 1), "x < y", Table(["a|b"], [[Strong("1|2")]]), Picture("p", "P", b"<svg/>")]
     assert to_markdown(blocks) == "# A & B\n\nx < y\n\n| a\\|b |\n| --- |\n| **1\\|2** |\n\n![P](p.svg)\n"
     page = to_html("A & B", blocks)
     assert "<h1>A &amp; B</h1>" in page
