@@ -22,7 +22,7 @@ ALWAYS_UPDATE: dict[str, Any] = {
     "lost_after": 0,
 }
 FIXED_MERGE: dict[str, Any] = {"probability": "raw", "sharpness": 1, "statistical_weight": 0.3 / 0.7}
-"""Staple's: 0.7 template + 0.3 histogram, of the responses as they are."""
+"""Staple's: 0.7 template + 0.3 histogram, of the responses as they are. For one template map."""
 
 ABLATIONS: dict[str, dict[str, Any]] = {
     "gray": {"features": ("gray",), "color_histogram": False},
@@ -146,7 +146,10 @@ def named_config(name: str) -> MFCMTConfig | None:
         return MFCMTConfig.default().replace(**SYSTEMS[name])
     preset, _, ablation = name.partition("-")
     if preset in PRESETS and ablation in ABLATIONS:
-        return MFCMTConfig.preset(preset).replace(**ABLATIONS[ablation])
+        config = MFCMTConfig.preset(preset).replace(**ABLATIONS[ablation])
+        if ablation == "fixed-merge" and not config.joint_filter:  # several template maps share the 0.7
+            config = config.replace(statistical_weight=config.statistical_weight * len(config.features))
+        return config
     return None
 
 

@@ -36,6 +36,12 @@ def test_the_papers_rivals_learn_every_frame(name: str) -> None:
     assert (config.num_scales == 33) == (name in ("staple", "samf", "dsst"))
 
 
+@pytest.mark.parametrize(("name", "maps"), [("default-fixed-merge", 1), ("paper-fixed-merge", 3)])
+def test_the_fixed_merge_gives_the_histogram_three_parts_in_ten(name: str, maps: int) -> None:
+    weight = engine(name).config.statistical_weight
+    assert weight / (maps + weight) == pytest.approx(0.3)
+
+
 def test_staple_merges_three_parts_in_ten_of_the_histogram() -> None:
     config = engine("staple").config
     assert config.probability == "raw"
