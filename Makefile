@@ -50,6 +50,7 @@ eval: warmup  ## score the tracker on OTB
 
 lock:  ## refresh the lock files (needs uv)
 	uv pip compile pyproject.toml --all-extras --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q -U -o requirements.lock
+	uv pip compile .ci/peers.in --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q -U -o .ci/peers.lock
 
 clean:  ## remove what the targets made
 	rm -rf $(VENV) .venv-peers .mypy_cache .pytest_cache .ruff_cache .hypothesis results

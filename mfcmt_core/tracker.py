@@ -12,7 +12,7 @@ import numpy.typing as npt
 from . import snapshot
 from .color import Bins, ColorModel
 from .config import MFCMTConfig
-from .errors import BadImage, NotInitialised
+from .errors import BadConfig, BadImage, BadSnapshot, NotInitialised
 from .fusion import fuse
 from .geometry import Frame, Image, Patch, Rect, SearchWindow, check_box, clip_rect, grow_rect
 from .redetection import propose
@@ -222,7 +222,10 @@ class MFCMT:
         """The tracker that :meth:`to_bytes` wrote; its every later result is bit-equal. Raises BadSnapshot."""
         config, state, frame_size = snapshot.parse(data)
         tracker = cls(config)
-        target = Target(config, state.base_size, state.grey)
+        try:
+            target = Target(config, state.base_size, state.grey)
+        except BadConfig as error:  # the colour-name table is a file
+            raise BadSnapshot(str(error)) from error
         snapshot.restore(target, state)
         tracker._target, tracker._frame_size = target, frame_size
         return tracker

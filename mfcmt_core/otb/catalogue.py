@@ -34,9 +34,19 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "always-update": ALWAYS_UPDATE,
     "always-scale": {"scale_when_reliable": False},
     "no-scale": {"num_scales": 1},
+    # the choices in which default() differs from paper(), each taken back alone
+    "target-window": {"window": "target", "search_area_scale": 2.0},
+    "patch-150": {"patch_size": 150},
+    "separate-filters": {"joint_filter": False, "statistical_weight": 4.5},
+    "average-filter": {"average": "filter"},
+    "rate-0.02": {"template_learning_rate": 0.02},
+    "clipped": {"probability": "clip"},
+    "equal-weights": {"statistical_weight": 1.0},
+    "raw-fhog": {"hog_epsilon": 1e-4},
+    "never-lost": {"lost_after": 0},
 }
-"""``<preset>-<ablation>``: a preset with one thing taken away or one thing left. Colour names keep the raw
-pixels, since grey sequences have nothing else."""
+"""``<preset>-<ablation>``: a preset with one thing taken away, one thing left or one choice taken back. Colour
+names keep the raw pixels, since grey sequences have nothing else."""
 
 _TEMPLATE_ONLY: dict[str, Any] = {
     **ALWAYS_UPDATE,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import structlog
 from fastapi import FastAPI
 from fastapi.exceptions import RequestValidationError
@@ -45,9 +47,20 @@ async def _http(request: Request, failed: Exception) -> Response:
     code = BY_STATUS.get(failed.status_code, "bad-request")
     problem = ProblemError(code, CATALOGUE[code].example)
     problem.headers.update(failed.headers or {})
+    if code == "method-not-allowed":
+        problem.headers["Allow"] = ", ".join(_methods(request))
     return await _problem(request, problem)
 
 
 async def _fault(request: Request, fault: Exception) -> Response:
     log.error("fault in a call", exc_info=fault)
     return await _problem(request, ProblemError("internal", CATALOGUE["internal"].example))
+
+
+def _methods(request: Request) -> list[str]:
+    """What the path knows: several routes share it, and the router names those of the first alone."""
+    path = request.url.path
+    for template, calls in request.app.openapi()["paths"].items():
+        if re.fullmatch(re.sub(r"\{\w+\}", "[^/]+", template), path):
+            return [method.upper() for method in calls]
+    return ["GET"]

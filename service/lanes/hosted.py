@@ -81,11 +81,12 @@ class HostedSession:
 
     def control(self, control: dict[str, Any]) -> dict[str, Any]:
         """Add, correct or remove a target on the newest frame."""
-        clock = perf_counter()
-        image, _ = decode(self._newest, self._options.limits)
-        decoded = perf_counter()
-        target = self._control(View(image, self._newest_at, self._size), control, set())
-        return self._state(decoded - clock, perf_counter() - decoded) | {"target": target}
+        view = None
+        if control["type"] != "remove":
+            image, _ = decode(self._newest, self._options.limits)
+            view = View(image, self._newest_at, self._size)
+        target = self._control(view, control, set())
+        return self._state(0.0, 0.0) | {"target": target}
 
     def to_dict(self) -> dict[str, Any]:
         """All of it, as plain values."""
@@ -124,13 +125,13 @@ class HostedSession:
             return [refused.code, refused.detail, refused.members]
         return None
 
-    def _control(self, view: View, control: dict[str, Any], fresh: set[int]) -> int:
+    def _control(self, view: View | None, control: dict[str, Any], fresh: set[int]) -> int:
         kind = control["type"]
         tid: int = self._next_id if kind == "add" else control["target"]
         if kind != "add" and tid not in self._targets:
             raise Refused("target-not-found", f"no target {tid}")
         try:
-            if kind == "remove":
+            if view is None or kind == "remove":
                 del self._targets[tid]
             elif kind == "add":
                 self._add(view, control["box"])

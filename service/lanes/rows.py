@@ -50,7 +50,7 @@ def map_images(maps: dict[str, npt.NDArray[np.float32]] | None) -> dict[str, byt
     images = {}
     for name, values in (maps or {}).items():
         peak = float(values.max()) or 1.0
-        levels = np.clip(values * (255 / peak), 0, 255).astype(np.uint8)
+        levels = np.clip(np.rint(values * (255 / peak)), 0, 255).astype(np.uint8)
         images[name] = cv2.imencode(".png", levels)[1].tobytes()
     return images
 

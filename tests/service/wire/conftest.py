@@ -1,0 +1,120 @@
+"""A real server and the bare wire: no client of ours, so that what is tested is the protocol itself."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import ExitStack, asynccontextmanager
+from typing import Any
+
+import httpx2
+import msgpack
+import pytest
+from websockets.asyncio.client import ClientConnection, connect
+
+from service.load.clips import Clip, open_clip, sample
+from service.load.own import OwnServer
+from tests.conftest import OTB_ROOT
+
+Serve = Callable[..., "Wire"]
+Answer = dict[str, Any]
+
+
+class Stream:
+    """A WebSocket and the subprotocol that it speaks."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self.socket = socket
+        self.binary = socket.subprotocol == "mfcmt.v1.msgpack"
+        self.ready: Answer = {}
+
+    async def frame(self, data: bytes, **meta: Any) -> None:
+        if self.binary:
+            await self.socket.send(msgpack.packb({"type": "frame", "frame": data, **meta}))
+            return
+        if meta:
+            await self.say(type="meta", **meta)
+        await self.socket.send(data)
+
+    async def say(self, **message: Any) -> None:
+        await self.socket.send(msgpack.packb(message) if self.binary else json.dumps(message))
+
+    async def hear(self, kind: str | None = None) -> Answer:
+        data = await self.socket.recv()
+        message: Answer = msgpack.unpackb(data) if isinstance(data, bytes) else json.loads(data)
+        assert kind in (None, message["type"]), message
+        return message
+
+    async def refused(self) -> str:
+        """The code of the error that is heard."""
+        code: str = (await self.hear("error"))["problem"]["code"]
+        return code
+
+
+class Wire:
+    """Calls and streams of one server."""
+
+    def __init__(self, server: OwnServer, headers: dict[str, str] | None = None) -> None:
+        self.server = server
+        self.headers = headers or {}
+        self.http = httpx2.AsyncClient(base_url=server.url, headers=self.headers, timeout=30)
+
+    async def create(self, frame: bytes, *boxes: Any, **options: Any) -> Answer:
+        response = await self.post(frame, *boxes, **options)
+        assert response.status_code == 201, response.text
+        answer: Answer = response.json()
+        return answer
+
+    async def post(self, frame: bytes, *boxes: Any, headers: Any = None, **options: Any) -> httpx2.Response:
+        data = {"boxes": json.dumps([list(box) for box in boxes]), "options": json.dumps(options)}
+        return await self.http.post("/v1/sessions", files={"frame": frame}, data=data, headers=headers)
+
+    async def track(self, sid: str, frame: bytes, **params: Any) -> httpx2.Response:
+        headers = {"Content-Type": "application/octet-stream"}
+        return await self.http.post(f"/v1/sessions/{sid}/frames", content=frame, params=params, headers=headers)
+
+    @asynccontextmanager
+    async def stream(
+        self, sid: str, *, protocols: Any = ("mfcmt.v1.json",), headers: Any = None, **query: str
+    ) -> AsyncIterator[Stream]:
+        told = "&".join(f"{name}={value}" for name, value in query.items())
+        url = f"ws{self.server.url[4:]}/v1/sessions/{sid}/stream?{told}"
+        sent = self.headers | (headers or {})
+        async with connect(
+            url, subprotocols=list(protocols) or None, additional_headers=sent, compression=None, max_size=None
+        ) as socket:
+            stream = Stream(socket)
+            if "origin" not in {name.lower() for name in sent}:
+                stream.ready = await stream.hear("ready")
+            yield stream
+
+
+@pytest.fixture(scope="session")
+def clip() -> Clip:
+    david = OTB_ROOT / "David"
+    return open_clip(david, None, 60) if david.is_dir() else sample(60)
+
+
+@pytest.fixture(scope="session")
+def shared_server() -> Iterator[OwnServer]:
+    """Two lanes with the default limits."""
+    with OwnServer(lanes=2, max_sessions_per_lane=64, log_level="debug") as own:
+        yield own
+
+
+@pytest.fixture
+async def wire(shared_server: OwnServer) -> AsyncIterator[Wire]:
+    wire = Wire(shared_server)
+    yield wire
+    await wire.http.aclose()
+
+
+@pytest.fixture
+def serve() -> Iterator[Serve]:
+    """Servers with settings of their own, ended with the test."""
+    with ExitStack() as stack:
+
+        def start(headers: dict[str, str] | None = None, **settings: object) -> Wire:
+            return Wire(stack.enter_context(OwnServer(**{"lanes": 1} | settings)), headers)
+
+        yield start
