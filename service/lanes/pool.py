@@ -8,6 +8,7 @@ import contextlib
 import multiprocessing
 import time
 from collections.abc import AsyncIterator, Mapping
+from multiprocessing import forkserver
 from typing import Any
 
 from .interface import AtCapacity, Buffers, KeysLost, LaneEvent, LaneLost, LaneReady, LaneStatus
@@ -48,6 +49,8 @@ class LanePool:
     async def start(self) -> None:
         """Begin to start all lanes."""
         self._context.set_forkserver_preload(["service.lanes.preload"])
+        # Here, because the fork server dies with the thread that starts it (see orphans).
+        forkserver.ensure_running()
         # Without this an interpreter that ends without stop() would wait for its workers for ever.
         atexit.register(self._kill_all)
         for lane in self._lanes:

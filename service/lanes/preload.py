@@ -25,10 +25,12 @@ from mfcmt_core import MFCMT, MFCMTConfig
 from ..frames import FrameLimits
 from ..frames.decode import decode
 from . import store as store
+from .orphans import die_with_parent
 
 # The front ends its lanes itself, after it has drained; a signal to the whole group must not come first.
 signal.signal(signal.SIGTERM, signal.SIG_IGN)
 signal.signal(signal.SIGINT, signal.SIG_IGN)
+die_with_parent()
 cv2.setNumThreads(1)
 
 

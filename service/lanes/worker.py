@@ -6,23 +6,19 @@ Light to import, because the front names :func:`main` as what its children run.
 from __future__ import annotations
 
 import contextlib
-import ctypes
-import signal
 import socket
-import sys
 import traceback
 from typing import Any
 
 import msgpack
 
+from .orphans import die_with_parent
 from .wire import HELLO, NO_REPLY, BlockingWire, decode_call, encode_reply
-
-PR_SET_PDEATHSIG = 1
 
 
 def main(sock: socket.socket, config: dict[str, Any]) -> None:
     """Serve ``sock`` until it ends."""
-    _die_with_parent()
+    die_with_parent()  # the fork server, which dies with the front, even if this computes for ever
     from .store import Store, versions
     from .view import Refused
 
@@ -41,9 +37,3 @@ def main(sock: socket.socket, config: dict[str, Any]) -> None:
                 reply = encode_reply("internal", [traceback.format_exc(), {}])
             if call != NO_REPLY:
                 wire.send(call, reply)
-
-
-def _die_with_parent() -> None:
-    """End with the fork server, which ends with the front, even in the middle of a computation."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)

@@ -1,0 +1,169 @@
+"""Keys, tickets, origins, tenants."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+
+import httpx2
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from service.load.clips import Clip
+
+from .conftest import Serve, Stream, Wire
+
+KEY, OTHER, ADMIN = "key-of-the-first-tenant", "key-of-the-other-tenant", "key-of-the-operator"
+
+
+async def refusal(wire: Wire, sid: str, **how: object) -> tuple[int, str]:
+    with pytest.raises(InvalidStatus) as refused:
+        async with wire.stream(sid, **how):  # type: ignore[arg-type]
+            pass
+    response = refused.value.response
+    return response.status_code, json.loads(response.body or b"")["code"]
+
+
+async def closed(stream: Stream) -> int:
+    with pytest.raises(ConnectionClosed) as end:
+        await asyncio.wait_for(stream.socket.recv(), 10)
+    assert end.value.rcvd is not None
+    return end.value.rcvd.code
+
+
+@pytest.fixture
+def guarded(serve: Serve) -> Wire:
+    return serve(
+        {"Authorization": f"Bearer {KEY}"},
+        api_keys=f"{KEY}, {OTHER}",
+        admin_key=ADMIN,
+        allowed_origins="https://app.example",
+    )
+
+
+async def test_keys(guarded: Wire, clip: Clip) -> None:
+    base = guarded.server.url
+    async with httpx2.AsyncClient(base_url=base) as bare:
+        for headers in ({}, {"X-API-Key": "wrong"}, {"Authorization": "Bearer"}, {"Authorization": f"Basic {KEY}"}):
+            for call in (bare.get("/v1/sessions", headers=headers), bare.get("/v1/capabilities", headers=headers)):
+                response = await call
+                assert (response.status_code, response.json()["code"]) == (401, "unauthenticated")
+                assert response.headers["WWW-Authenticate"] == "Bearer"
+        assert (await bare.get("/v1/sessions", headers={"X-API-Key": KEY})).status_code == 200
+        assert (await bare.get("/livez")).status_code == 200
+        assert (await bare.get("/metrics")).status_code == 401
+        assert (await bare.get("/metrics", headers={"Authorization": f"Bearer {KEY}"})).status_code == 401
+        assert (await bare.get("/metrics", headers={"Authorization": f"Bearer {ADMIN}"})).status_code == 200
+    session = await guarded.create(clip.frames[0], clip.box)
+    async with guarded.stream(session["id"]):
+        pass
+    guarded.headers = {}
+    assert await refusal(guarded, session["id"]) == (401, "unauthenticated")
+    async with guarded.stream(session["id"], headers={"X-API-Key": KEY}):
+        pass
+    for secret in (KEY, OTHER, ADMIN):
+        assert secret not in guarded.server.log
+
+
+async def test_another_keys_session_is_as_one_that_does_not_exist(guarded: Wire, clip: Clip) -> None:
+    session = await guarded.create(clip.frames[0], clip.box)
+    sid, path = session["id"], f"/v1/sessions/{session['id']}"
+    snapshot = (await guarded.http.get(f"{path}/snapshot")).content
+    box = {"box": list(clip.box)}
+    async with httpx2.AsyncClient(base_url=guarded.server.url, headers={"X-API-Key": OTHER}) as other:
+        never = (await other.get("/v1/sessions/AAAAAAAAAAAAAAAAAAAAAAAA")).json()
+        image = {"Content-Type": "image/jpeg"}
+        for response in (
+            await other.get(path),
+            await other.delete(path),
+            await other.post(f"{path}/frames", content=clip.frames[1], headers=image),
+            await other.post(f"{path}/targets", json=box),
+            await other.put(f"{path}/targets/0", json=box),
+            await other.delete(f"{path}/targets/0"),
+            await other.get(f"{path}/trajectory"),
+            await other.get(f"{path}/snapshot"),
+            await other.post(f"{path}/ticket"),
+        ):
+            assert response.json() == never
+            assert response.status_code == 404
+        assert (await other.get("/v1/sessions")).json()["sessions"] == []
+        kind = {"Content-Type": "application/vnd.mfcmt.snapshot"}
+        stolen = await other.post("/v1/sessions", content=snapshot, headers=kind)
+        assert (stolen.status_code, stolen.json()["code"]) == (422, "bad-snapshot")
+        key = {"Idempotency-Key": "same"}
+        mine = await guarded.post(clip.frames[0], clip.box, headers=key)
+        theirs = await other.post(
+            "/v1/sessions", files={"frame": clip.frames[0]}, data={"box": "20,20,40,40"}, headers=key
+        )
+        assert mine.json()["id"] != theirs.json()["id"]
+        await guarded.http.delete(path)
+        assert (await other.get(path)).json() == never
+        assert (await other.delete(path)).status_code == 404
+    guarded.headers = {"X-API-Key": OTHER}
+    assert await refusal(guarded, mine.json()["id"], takeover="true") == (404, "session-not-found")
+    assert await refusal(guarded, sid) == (404, "session-not-found")
+
+
+async def test_tickets_admit_once_and_to_their_session_alone(guarded: Wire, clip: Clip) -> None:
+    sessions = [(await guarded.create(clip.frames[0], clip.box))["id"] for _ in range(2)]
+
+    async def ticket(sid: str, **body: object) -> str:
+        response = await guarded.http.post(f"/v1/sessions/{sid}/ticket", json=body)
+        assert response.status_code == 201, response.text
+        told: str = response.json()["ticket"]
+        return told
+
+    def offer(told: str) -> list[str]:
+        return [f"mfcmt.ticket.{told}", "mfcmt.v1.msgpack"]
+
+    first, strayed, late = await ticket(sessions[0]), await ticket(sessions[0]), await ticket(sessions[0], ttl_s=0.2)
+    key, guarded.headers = guarded.headers, {}
+    async with guarded.stream(sessions[0], protocols=offer(first)) as stream:
+        assert stream.socket.subprotocol == "mfcmt.v1.msgpack"
+        guarded.headers = key
+        again = await ticket(sessions[0])
+        guarded.headers = {}
+        async with guarded.stream(sessions[0], protocols=offer(again), takeover="true"):
+            assert await closed(stream) == 4409
+    assert await refusal(guarded, sessions[0], protocols=offer(first)) == (401, "unauthenticated")
+    assert await refusal(guarded, sessions[1], protocols=offer(strayed)) == (401, "unauthenticated")
+    assert await refusal(guarded, sessions[0], protocols=offer(strayed)) == (401, "unauthenticated")
+    await asyncio.sleep(0.25)
+    assert await refusal(guarded, sessions[0], protocols=offer(late)) == (401, "unauthenticated")
+    too_long = await guarded.http.post(f"/v1/sessions/{sessions[0]}/ticket", json={"ttl_s": 1e6})
+    assert (too_long.status_code, too_long.json()["code"]) == (400, "bad-request")
+    assert first not in guarded.server.log
+
+
+async def test_browsers_without_a_key_or_from_elsewhere(guarded: Wire, clip: Clip) -> None:
+    sid = (await guarded.create(clip.frames[0], clip.box))["id"]
+    evil, friend = {"Origin": "https://evil.example"}, {"Origin": "https://app.example"}
+    async with guarded.stream(sid, headers=evil) as stream:
+        assert await stream.refused() == "origin-refused"
+        assert await closed(stream) == 4403
+    async with guarded.stream(sid, headers=friend) as stream:
+        await stream.hear("ready")
+    guarded.headers = {}
+    async with guarded.stream(sid, headers=friend) as stream:
+        assert await stream.refused() == "unauthenticated"
+        assert await closed(stream) == 4401
+    response = await guarded.http.get("/v1/sessions", headers=evil)
+    assert (response.status_code, response.json()["code"]) == (403, "origin-refused")
+    assert "access-control-allow-origin" not in response.headers
+    response = await guarded.http.get("/v1/sessions", headers=friend)
+    assert response.headers["access-control-allow-origin"] == "https://app.example"
+    assert "Location" in response.headers["access-control-expose-headers"]
+    asked = {"Access-Control-Request-Method": "POST", "Access-Control-Request-Headers": "authorization"}
+    preflight = await guarded.http.options("/v1/sessions", headers=friend | asked)
+    assert preflight.status_code == 204
+    assert preflight.headers["access-control-allow-headers"] == "authorization"
+    assert (await guarded.http.options("/v1/sessions", headers=evil | asked)).status_code == 403
+
+
+async def test_too_many_calls(serve: Serve) -> None:
+    wire = serve(max_requests_per_s=5)
+    answers = [await wire.http.get("/v1/sessions") for _ in range(10)]
+    refused = [a for a in answers if a.status_code == 429]
+    assert refused
+    assert {a.json()["code"] for a in refused} == {"rate-limited"}
+    assert all(int(a.headers["Retry-After"]) >= 1 for a in refused)
