@@ -23,7 +23,7 @@ from .. import synthetic, tracker
 from ..color import ColorModel
 from ..features import FeatureStack
 from ..geometry import Image, SearchWindow
-from ..otb.dataset import Sequence, annotated, open_otb
+from ..otb.dataset import Sequence, open_otb
 from ..otb.metrics import Array
 from ..result import Box
 from ..scale import ScaleModel
@@ -70,7 +70,7 @@ def synthetic_material(name: str, frames: int | None) -> Iterator[Material]:
     """A rendered clip."""
     clip = synthetic.clip(name)
     count = min(frames or len(clip), len(clip))
-    yield Material(annotated(name, (), clip.boxes[:count] + np.array([1, 1, 0, 0])), clip.frames[:count])
+    yield Material(Sequence.of(name, (), clip.boxes[:count]), clip.frames[:count])
 
 
 def otb_material(root: Path, names: str | None, frames: int | None) -> Iterator[Material]:
@@ -78,7 +78,7 @@ def otb_material(root: Path, names: str | None, frames: int | None) -> Iterator[
     dataset = open_otb(root)
     for sequence in dataset.select(names.split(",")) if names else dataset:
         count = min(frames or len(sequence), len(sequence))
-        part = annotated(sequence.name, sequence.frames[:count], sequence.boxes[:count] + np.array([1, 1, 0, 0]))
+        part = Sequence.of(sequence.name, sequence.frames[:count], sequence.boxes[:count])
         yield Material(part, [part.read(i) for i in range(count)])
 
 

@@ -109,6 +109,7 @@ def _evaluation(e: Evaluation) -> dict[str, Any]:
         "tracker": e.tracker,
         **({m: e.mean(m) for m in METRICS} if e.scores else {}),
         "fps": e.fps,
+        "cpu_fps": e.cpu_fps,
         "mean_rate": e.mean_rate,
         "missing": e.missing,
         "sequences": {

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..config import PRESETS
-from .catalogue import ABLATIONS, SYSTEMS, resolve
+from .catalogue import ABLATIONS, CHOICES, SYSTEMS, resolve
 from .compare import Difference, compare
 from .dataset import Dataset
 from .document import Block, Heading, Strong, Table, to_markdown
@@ -87,8 +87,9 @@ def comparison(results: Path, published: Path | None) -> list[Entry | ResultFold
 
 
 def ablations() -> list[Entry | ResultFolder]:
-    """Each preset with one thing taken away, or with one left."""
-    return [resolve(f"{preset}-{name}") for preset in PRESETS for name in ABLATIONS]
+    """Each preset with one thing taken away, or with one left; ``default`` with each of its choices taken back."""
+    names = [f"{preset}-{name}" for preset in PRESETS for name in ABLATIONS]
+    return [resolve(name) for name in (*names, *(f"default-{choice}" for choice in CHOICES))]
 
 
 def reproduce(
@@ -118,21 +119,28 @@ def claims_page(dataset: Dataset, results: Results) -> list[Block]:
         "configurations of our own engine.",
     ]
     for claim in CLAIMS:
-        rows = [
-            row
-            for preset in PRESETS
-            for opponent in claim.opponents
-            for protocol, evaluations in results.items()
-            if (row := _row(preset, opponent, protocol, evaluations)) is not None
-        ]
-        if rows:
-            header = ["preset", "against", "protocol", "difference in success", "better / even / worse", "verdict"]
-            blocks += [Heading(claim.text), f"The paper: {claim.where}.", Table(header, rows)]
+        table = _table(PRESETS, claim.opponents, results)
+        if table.rows:
+            blocks += [Heading(claim.text), f"The paper: {claim.where}.", table]
     blocks.append(Heading(f"It runs at {PAPER_FPS} frames a second (MATLAB, i5-4590)."))
     for protocol, evaluations in results.items():
         own = [e for e in evaluations if e.tracker in PRESETS]
         blocks += [f"{protocol}, decoding not counted:", summary(own, dataset)]
+    choices = _table(("default",), tuple(f"-{choice}" for choice in CHOICES), results)
+    if choices.rows:
+        blocks += [Heading("What `default` does differently"), "Each choice taken back alone.", choices]
     return blocks
+
+
+def _table(presets: Seq[str], opponents: Seq[str], results: Results) -> Table:
+    rows = [
+        row
+        for preset in presets
+        for opponent in opponents
+        for protocol, evaluations in results.items()
+        if (row := _row(preset, opponent, protocol, evaluations)) is not None
+    ]
+    return Table(["preset", "against", "protocol", "difference in success", "better / even / worse", "verdict"], rows)
 
 
 def _row(preset: str, opponent: str, protocol: str, evaluations: list[Evaluation]) -> list[str] | None:

@@ -20,11 +20,11 @@ def summary(evaluations: Seq[Evaluation], dataset: Dataset) -> Table:
     order = ranked(evaluations)
     common = [s.name for s in dataset if all(s.name in e.scores for e in order)]
     uneven = bool(common) and any(len(e.scores) > len(common) for e in order)
-    header = ["tracker", *METRICS.values(), "FPS", "mean of rates", "targets"]
+    header = ["tracker", *METRICS.values(), "FPS", "FPS of CPU time", "mean of rates", "targets"]
     header += [f"success on the {len(common)} of all"] if uneven else []
     rows = []
     for e in order:
-        row = [e.tracker, *(f"{e.mean(m):.3f}" for m in METRICS), _number(e.fps), _number(e.mean_rate)]
+        row = [e.tracker, *(f"{e.mean(m):.3f}" for m in METRICS), *map(_number, (e.fps, e.cpu_fps, e.mean_rate))]
         row.append(f"{len(e.scores)} of {len(dataset)}" if len(e.scores) < len(dataset) else str(len(dataset)))
         rows.append(row + ([f"{e.mean('success', common):.3f}"] if uneven else []))
     return Table(header, rows)

@@ -29,8 +29,8 @@ def test_the_summary_ranks_and_keeps_incomplete_trackers_apart(evaluations: list
     assert [row[0] for row in table.rows] == ["MCCT-H", "SRDCF", "DSST", "Staple", "Struck"]
     assert table.header[-1] == "success on the 25 of all"
     assert table.rows[0][1:3] == ["0.633", "0.842"]
-    assert table.rows[3][6] == "25 of 100"
-    assert table.rows[4][6] == "99 of 100"
+    assert table.rows[3][7] == "25 of 100"
+    assert table.rows[4][7] == "99 of 100"
 
 
 def test_attribute_scores_are_means_over_the_targets_that_have_it(
