@@ -15,7 +15,7 @@ from .. import synthetic
 from ..config import PRESETS, MFCMTConfig
 from ..tracker import MFCMT
 from . import UsageError, versus
-from .measure import STAGES, Material, StageClock, otb_material, pin, synthetic_material, timed_run
+from .measure import STAGES, Material, StageClock, pin, real_material, synthetic_material, timed_run, warm_up
 
 BUSY = 1.15
 """Wall over processor time above which others had the core too."""
@@ -25,7 +25,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument("--preset", choices=PRESETS, default="default")
     parser.add_argument("--clip", choices=synthetic.SCENES, help="a rendered clip (default: sample)")
-    parser.add_argument("--data", type=Path, metavar="FOLDER", help="OTB sequences instead of a rendered clip")
+    parser.add_argument("--data", type=Path, metavar="FOLDER", help="real sequences instead of a rendered clip")
     parser.add_argument("--sequences", metavar="NAMES", help="of these only, apart by comma")
     parser.add_argument("--frames", type=int, metavar="N", help="at most so many of each")
     parser.add_argument("--repeat", type=int, default=3, metavar="N", help="passes over the frames (default: 3)")
@@ -67,7 +67,7 @@ def material(args: argparse.Namespace, default: Path | None = None) -> Iterator[
     """What the arguments name."""
     data = args.data or (None if args.clip else default)
     if data:
-        return otb_material(data, args.sequences, args.frames)
+        return real_material(data, args.sequences, args.frames)
     return synthetic_material(args.clip or "sample", args.frames)
 
 
@@ -77,7 +77,7 @@ def measure(materials: Iterable[Material], preset: str, repeat: int) -> dict[str
     clock, clips = StageClock(), []
     updates, walls = [], []
     for item in materials:
-        MFCMT(config).init(item.frames[0], item.box)  # scratch and tables are there afterwards
+        warm_up(MFCMT(config), item)
         runs = [timed_run(MFCMT(config), item) for _ in range(repeat)]
         cpu = np.concatenate([r.cpu[1:] for r in runs])
         updates.append(cpu)

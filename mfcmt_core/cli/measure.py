@@ -8,11 +8,10 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import wraps
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import cv2
 import numba
@@ -23,7 +22,8 @@ from .. import synthetic, tracker
 from ..color import ColorModel
 from ..features import FeatureStack
 from ..geometry import Image, SearchWindow
-from ..otb.dataset import Sequence, open_otb
+from ..otb.dataset import Sequence
+from ..otb.layouts import open_dataset
 from ..otb.metrics import Array
 from ..result import Box
 from ..scale import ScaleModel
@@ -69,17 +69,21 @@ class Material:
 def synthetic_material(name: str, frames: int | None) -> Iterator[Material]:
     """A rendered clip."""
     clip = synthetic.clip(name)
-    count = min(frames or len(clip), len(clip))
-    yield Material(Sequence.of(name, (), clip.boxes[:count]), clip.frames[:count])
+    known = np.ones(len(clip), bool)
+    yield _decoded(Sequence(name, (), clip.boxes, known, known), clip.frames.__getitem__, frames)
 
 
-def otb_material(root: Path, names: str | None, frames: int | None) -> Iterator[Material]:
-    """The sequences of a folder, one after the other. Raises DataError."""
-    dataset = open_otb(root)
+def real_material(root: Path, names: str | None, frames: int | None) -> Iterator[Material]:
+    """The sequences of a folder, OTB or another layout, one after the other. Raises DataError."""
+    dataset = open_dataset(root)
     for sequence in dataset.select(names.split(",")) if names else dataset:
-        count = min(frames or len(sequence), len(sequence))
-        part = Sequence.of(sequence.name, sequence.frames[:count], sequence.boxes[:count])
-        yield Material(part, [part.read(i) for i in range(count)])
+        yield _decoded(sequence, sequence.read, frames)
+
+
+def _decoded(sequence: Sequence, read: Callable[[int], Image], frames: int | None) -> Material:
+    count = min(frames or len(sequence), len(sequence))
+    first = {name: getattr(sequence, name)[:count] for name in ("frames", "boxes", "valid", "startable")}
+    return Material(replace(sequence, **first), [read(i) for i in range(count)])
 
 
 def pin(core: int | None) -> str:
@@ -112,6 +116,13 @@ class Timed:
     alive: npt.NDArray[np.bool_]
 
 
+def warm_up(tracker: Any, material: Material) -> None:
+    """What is loaded and allocated on first use is there afterwards."""
+    tracker.init(material.frames[0], material.box)
+    for frame in material.frames[1:3]:
+        tracker.update(frame)
+
+
 def timed_run(tracker: Any, material: Material) -> Timed:
     """Track through the material; row 0 is ``init`` (and its box the given one).
 
@@ -142,7 +153,9 @@ class StageClock:
         """Wrap the stages from outside, and unwrap them in the end."""
         with ExitStack() as stack:
             for name, owner, attribute in STAGES:
-                stack.enter_context(patch.object(owner, attribute, self._clocked(name, getattr(owner, attribute))))
+                original = getattr(owner, attribute)
+                setattr(owner, attribute, self._clocked(name, original))
+                stack.callback(setattr, owner, attribute, original)
             yield
 
     def end_frame(self) -> None:

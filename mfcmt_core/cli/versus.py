@@ -16,7 +16,7 @@ from ..otb.protocol import Run
 from ..otb.score import Evaluation, score_runs
 from ..otb.trackers import Engine
 from . import UsageError
-from .measure import Material, Timed, timed_run
+from .measure import Material, Timed, timed_run, warm_up
 from .progress import Progress
 
 OURS = "MFCMT"
@@ -86,9 +86,7 @@ def measure(materials: Iterable[Material], preset: str) -> dict[str, Any]:
 
 
 def _run(entry: Engine | Peer, item: Material) -> Timed:
-    warm = entry.make()
-    for frame in item.frames[:2]:
-        warm.update(frame) if frame is not item.frames[0] else warm.init(frame, item.box)
+    warm_up(entry.make(), item)
     return timed_run(entry.make(), item)
 
 
