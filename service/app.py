@@ -66,14 +66,15 @@ def create_app(
         redirect_slashes=False,
     )
     app.state.service = service
-    for module in (sessions, frames, targets, trajectory, snapshot, ticket, capabilities):
-        app.include_router(module.router, prefix="/v1")
-    for module in (health, docs):
-        app.include_router(module.router)
+    calls = (sessions, frames, targets, trajectory, snapshot, ticket, capabilities)
+    routers = {"/v1": [module.router for module in calls], "": [health.router, docs.router]}
+    for prefix, some in routers.items():
+        for router in some:
+            app.include_router(router, prefix=prefix)
     app.router.routes.append(WebSocketRoute("/v1/sessions/{session_id}/stream", StreamEndpoint(service)))
     app.add_middleware(Surroundings, service=service)
     errors.install(app)
-    openapi.install(app, authenticated=bool(settings.api_keys))
+    openapi.install(app, routers, authenticated=bool(settings.api_keys))
     app.state.documents = docs.Documents.of(app)
     return app
 
