@@ -159,18 +159,10 @@ class AsyncSession:
     async def track(self, frame: bytes | Frame) -> Result:
         """One frame over HTTP; streams are faster."""
         frame = frame if isinstance(frame, Frame) else Frame(frame)
-        params = {"seq": frame.seq, "ts": frame.ts}
-        if frame.region is not None:
-            params["region"] = ",".join(map(str, frame.region))
-        return Result.of(
-            await self._client.json(
-                "POST",
-                f"{self._path}/frames",
-                content=frame.data,
-                params={name: value for name, value in params.items() if value is not None},
-                headers={"Content-Type": "application/octet-stream"},
-            )
-        )
+        body = {"frame": frame.data, "seq": frame.seq, "ts": frame.ts, "region": frame.region}
+        packed = msgpack.packb({name: value for name, value in body.items() if value is not None})
+        headers = {"Content-Type": MSGPACK}
+        return Result.of(await self._client.json("POST", f"{self._path}/frames", content=packed, headers=headers))
 
     async def add_target(self, box: Iterable[float]) -> TargetChange:
         """Start another target on the newest frame."""

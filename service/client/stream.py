@@ -87,11 +87,11 @@ class AsyncStream(Generic[T]):
         self._room.set()
         if isinstance(item, Result):
             return item
-        if item is not None:
-            raise item
-        self._arrived.put_nowait(None)
-        await self.aclose()
-        raise StopAsyncIteration
+        if item is None:
+            self._arrived.put_nowait(None)
+        if item is None or item is self._ended:
+            await self.aclose()
+        raise item or StopAsyncIteration
 
     async def send(self, frame: bytes | Frame) -> int:
         """Send one frame when there is credit for it; its ``seq``. For streams made without frames."""
@@ -151,6 +151,8 @@ class AsyncStream(Generic[T]):
                 await self._take_up(connection, ready)
         except ClientError as end:
             self._end(end)
+        except Exception as broken:
+            self._end(ClientError(f"what the server said cannot be read: {broken!r}"), broken)
 
     async def _take_up(self, connection: Connection, ready: Ready) -> None:
         """Go on after a break: fetch the results that were missed, send again what was not tracked."""
@@ -175,7 +177,6 @@ class AsyncStream(Generic[T]):
         self._room.set()
 
     def _fall(self, lost: ConnectionLost) -> None:
-        self._connection = None
         self._up.clear()
         for future in self._controls.values():
             if not future.done():
@@ -230,8 +231,9 @@ class AsyncStream(Generic[T]):
 
     async def _connected(self) -> Connection:
         await self._up.wait()
-        if self._ended or self._connection is None:
-            raise self._ended or ConnectionLost("the stream has ended")
+        if self._ended is not None:
+            raise self._ended
+        assert self._connection is not None
         return self._connection
 
     async def _send(self, source: T | None, frame: Frame) -> int:

@@ -37,7 +37,7 @@ def serve() -> Iterator[Serve]:
     with ExitStack() as stack:
 
         def start(**settings: object) -> OwnServer:
-            return stack.enter_context(OwnServer(**{"lanes": 1} | settings))
+            return stack.enter_context(OwnServer(**{"lanes": 1, "drain_grace_s": 0.2} | settings))
 
         yield start
 
