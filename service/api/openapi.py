@@ -59,7 +59,7 @@ def _document(app: FastAPI, routers: Mapping[str, Sequence[APIRouter]], authenti
         for router in some:
             for route in router.routes:
                 if isinstance(route, APIRoute) and route.include_in_schema:
-                    for method in route.methods:
+                    for method in route.methods or ():
                         _restore(told["paths"][prefix + route.path][method.lower()], route)
     components = told.setdefault("components", {})
     components["schemas"] = schemas()

@@ -160,7 +160,7 @@ def test_the_past_is_bounded_by_bytes() -> None:
     assert entries[-1] == Entry(999, "ts", [640, 480], None, [ROW])
     assert [e.seq for e in unpacked(past.after(997))] == [998, 999]
     past.amend([ROW, [1, *ROW[1:]]], [0, 0, 9, 9])
-    last = list(unpacked(past.after(998)))[0]
+    last = next(unpacked(past.after(998)))
     assert (last.seq, last.ts, last.region, len(last.rows)) == (999, "ts", [0, 0, 9, 9], 2)
 
 

@@ -110,7 +110,7 @@ def test_nothing_is_pickled() -> None:
 
     import service
 
-    sources = [path for path in Path(service.__file__).parent.rglob("*.py")]
+    sources = list(Path(service.__file__).parent.rglob("*.py"))
     assert len(sources) > 50
     for path in sources:
         text = path.read_text()
