@@ -6,7 +6,9 @@ import argparse
 import os
 import shlex
 import sys
+from collections.abc import Sequence as Seq
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -17,9 +19,11 @@ from ..otb.dataset import Dataset
 from ..otb.document import Picture, to_markdown
 from ..otb.errors import DataError
 from ..otb.layouts import LAYOUTS, open_dataset
-from ..otb.report import Results, summary, write_report
+from ..otb.report import Results, write_report
+from ..otb.reproduce import reproduce
 from ..otb.runner import boxes_of, evaluate
 from ..otb.score import Evaluation
+from ..otb.tables import summary
 from ..otb.trackers import Entry, ResultFolder
 from . import UsageError
 from .progress import Progress
@@ -56,6 +60,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--report", type=Path, metavar="FOLDER", help="write tables, plots, CSV and JSON there")
     parser.add_argument("--film", metavar="NAMES", help="strips of these sequences for the report (OPE)")
     parser.add_argument("--video", action="store_true", help="beside each strip the whole film as MP4")
+    parser.add_argument(
+        "--reproduce",
+        type=Path,
+        metavar="FOLDER",
+        help="section IV of the paper: presets, rivals, ablations and peers, as pages in the folder",
+    )
+    parser.add_argument("--published", type=Path, metavar="FOLDER", help="folders of published boxes for --reproduce")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes (default: one a CPU)")
 
 
@@ -67,13 +78,16 @@ def run(args: argparse.Namespace) -> int:
     if (args.film or args.video) and not (args.film and args.report and "OPE" in protocols):
         raise UsageError("--film names sequences, needs --report and OPE; --video needs --film")
     dataset = _dataset(args)
+    if args.reproduce is not None:
+        run = partial(_evaluate, args, dataset)
+        reproduce(args.reproduce, dataset, protocols, args.results, args.published, run)
+        print(args.reproduce / "claims.md")
+        return 0
     trackers = [resolve(text, args.results) for given in args.trackers for text in given.split(",") if text]
     lost = False
     results: Results = {}
     for protocol in protocols:
-        with _Bar(protocol) as bar:
-            evaluations = evaluate(dataset, trackers, protocol, results=args.results, jobs=args.jobs, progress=bar)
-        results[protocol] = evaluations
+        results[protocol] = evaluations = _evaluate(args, dataset, trackers, protocol)
         title = f"{dataset.name} {protocol}, {dataset.coverage} targets"
         print(to_markdown([title, summary(evaluations, dataset)]))
         lost |= _complain(trackers, evaluations)
@@ -94,6 +108,13 @@ def _dataset(args: argparse.Namespace) -> Dataset:
     if dataset.missing:
         print(f"{dataset.coverage} targets; not here: {', '.join(dataset.missing)}", file=sys.stderr)
     return dataset
+
+
+def _evaluate(
+    args: argparse.Namespace, dataset: Dataset, trackers: Seq[Entry | ResultFolder], protocol: str
+) -> list[Evaluation]:
+    with _Bar(protocol) as bar:
+        return evaluate(dataset, trackers, protocol, results=args.results, jobs=args.jobs, progress=bar)
 
 
 def _films(args: argparse.Namespace, dataset: Dataset, trackers: list[Entry | ResultFolder]) -> list[Picture]:

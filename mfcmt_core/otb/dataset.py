@@ -62,6 +62,17 @@ class Sequence:
     attributes: tuple[str, ...] = ()
     skip_invalid: bool = False
 
+    @classmethod
+    def of(cls, name: str, frames: Iterable[Path], boxes: Array, first: int = 1) -> Sequence:
+        """A sequence from 0-based boxes ``(N, 4)``; frames where these have no area or NaN are not scored.
+
+        Raises DataError where none has a box.
+        """
+        valid: Mask = np.all(np.isfinite(boxes) & (boxes > NO_AREA), axis=1)
+        if not valid.any():
+            raise DataError(f"{name}: no frame has a valid annotation")
+        return cls(name, tuple(frames), boxes, valid, valid, first, skip_invalid=True)
+
     def __len__(self) -> int:
         return len(self.boxes)
 

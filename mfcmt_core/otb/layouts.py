@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 
 from .dataset import (
-    NO_AREA,
     ONE_BASED,
     Dataset,
     Sequence,
@@ -86,7 +85,7 @@ def open_uav123(root: Path) -> Dataset:
             continue
         boxes = read_boxes(path) - ONE_BASED
         frames = numbered_images(images, first, first + len(boxes) - 1)
-        found[path.stem] = _annotated(path, path.stem, frames, boxes, first)
+        found[path.stem] = Sequence.of(path.stem, frames, boxes, first)
     return replace(_gathered("UAV123", root, found), missing=tuple(missing))
 
 
@@ -114,15 +113,7 @@ def _sequence(name: str, folder: Path, origin: Array = ZERO_BASED) -> Sequence:
     images = next((found for sub in IMAGE_FOLDERS if (found := list_images(folder / sub))), [])
     if len(images) != len(boxes):
         raise DataError(f"{truth}: {len(boxes)} boxes for {len(images)} images")
-    return _annotated(truth, name, tuple(images), boxes)
-
-
-def _annotated(truth: Path, name: str, frames: tuple[Path, ...], boxes: Array, first: int = 1) -> Sequence:
-    """Unlike in OTB a box may well begin left of the image or above it."""
-    valid = np.all(np.isfinite(boxes) & (boxes > NO_AREA), axis=1)
-    if not valid.any():
-        raise DataError(f"{truth}: no frame has a valid annotation")
-    return Sequence(name, frames, boxes, valid, valid, first, skip_invalid=True)
+    return Sequence.of(name, images, boxes)
 
 
 def _truth(folder: Path) -> Path | None:

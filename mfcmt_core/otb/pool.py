@@ -82,6 +82,7 @@ class _Runner:
         sequence = job.sequence
         boxes = {run.key: np.full((len(sequence) - run.start, 4), np.nan) for run in job.runs}
         seconds = {key: np.zeros(len(rows)) for key, rows in boxes.items()}
+        cpu_seconds = dict.fromkeys(boxes, 0.0)
         trackers: dict[str, Tracker] = {}
         unticked = 0
         index = 0
@@ -92,18 +93,18 @@ class _Runner:
                     step = index - run.start
                     if step < 0:
                         continue
+                    if step == 0 and not trackers:
+                        self._warm_up(job, image, run)
+                    begun, cpu_begun = time.perf_counter(), time.process_time()
                     if step == 0:
-                        if not trackers:
-                            self._warm_up(job, image, run)
                         trackers[run.key] = job.entry.make()
-                        begun = time.perf_counter()
                         trackers[run.key].init(image, run.box)
                         box = run.box
                     else:
-                        begun = time.perf_counter()
                         result = trackers[run.key].update(image)
                         box = getattr(result, "box", result)
                     seconds[run.key][step] = time.perf_counter() - begun
+                    cpu_seconds[run.key] += time.process_time() - cpu_begun
                     boxes[run.key][step] = box
                     unticked += 1
                 if unticked >= TICK_FRAMES:
@@ -113,7 +114,8 @@ class _Runner:
             return Outcome(error=f"{sequence.name}, frame {sequence.first + index}: {type(failed).__name__}: {failed}")
         self._tick(unticked)
         speeds = {
-            key: Speed(len(t), float(t.sum()), float(np.mean(1.0 / np.maximum(t, 1e-9)))) for key, t in seconds.items()
+            key: Speed(len(t), float(t.sum()), float(np.mean(1.0 / np.maximum(t, 1e-9))), cpu_seconds[key])
+            for key, t in seconds.items()
         }
         return Outcome(boxes, speeds)
 

@@ -17,11 +17,15 @@ from .protocol import PROTOCOLS, Run, to_original_size
 
 @dataclass(frozen=True)
 class Speed:
-    """How long a tracker took: ``frames`` in ``seconds``; the mean of the frames' rates in Hz."""
+    """How long a tracker took: ``frames`` in ``seconds`` of wall and of CPU time (None where unknown).
+
+    ``mean_rate`` is the mean of the frames' rates in Hz.
+    """
 
     frames: int
     seconds: float
     mean_rate: float
+    cpu_seconds: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +91,12 @@ class Evaluation:
         """Frames over time, all sequences together."""
         speeds = self._speeds()
         return sum(s.frames for s in speeds) / sum(s.seconds for s in speeds) if speeds else None
+
+    @property
+    def cpu_fps(self) -> float | None:
+        """Frames over CPU time: what the tracker needs, also on a busy machine."""
+        known = [(s.frames, s.cpu_seconds) for s in self._speeds() if s.cpu_seconds]
+        return sum(frames for frames, _ in known) / sum(seconds for _, seconds in known) if known else None
 
     @property
     def mean_rate(self) -> float | None:

@@ -10,7 +10,7 @@ import pytest
 
 from mfcmt_core import MFCMTConfig
 from mfcmt_core.otb import DataError, Engine, ResultFolder, code_hash
-from mfcmt_core.otb.catalogue import ABLATIONS, SYSTEMS, resolve
+from mfcmt_core.otb.catalogue import ABLATIONS, CHOICES, SYSTEMS, resolve
 from mfcmt_core.otb.peers import PEERS, Peer
 from mfcmt_core.otb.trackers import identity_hash
 
@@ -36,6 +36,12 @@ def test_the_papers_rivals_learn_every_frame(name: str) -> None:
     assert (config.num_scales == 33) == (name in ("staple", "samf", "dsst"))
 
 
+@pytest.mark.parametrize(("name", "maps"), [("default-fixed-merge", 1), ("paper-fixed-merge", 3)])
+def test_the_fixed_merge_gives_the_histogram_three_parts_in_ten(name: str, maps: int) -> None:
+    weight = engine(name).config.statistical_weight
+    assert weight / (maps + weight) == pytest.approx(0.3)
+
+
 def test_staple_merges_three_parts_in_ten_of_the_histogram() -> None:
     config = engine("staple").config
     assert config.probability == "raw"
@@ -48,6 +54,15 @@ def test_staple_merges_three_parts_in_ten_of_the_histogram() -> None:
 def test_an_ablation_changes_what_it_says_and_nothing_else(preset: str, name: str) -> None:
     changed, base = engine(f"{preset}-{name}").config.to_dict(), MFCMTConfig.preset(preset).to_dict()
     assert {k for k in base if changed[k] != base[k]} <= set(ABLATIONS[name])
+    assert changed != base
+
+
+@pytest.mark.parametrize("name", CHOICES)
+def test_a_choice_of_default_goes_back_to_the_papers_way(name: str) -> None:
+    changed, base = engine(f"default-{name}").config.to_dict(), MFCMTConfig.default().to_dict()
+    paper = MFCMTConfig.paper().to_dict()
+    differing = {k for k in base if changed[k] != base[k]} - {"statistical_weight"}
+    assert all(changed[k] == paper[k] for k in differing)
     assert changed != base
 
 

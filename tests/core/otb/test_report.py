@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 from pathlib import Path
 
@@ -12,14 +13,9 @@ import pytest
 from mfcmt_core.otb import DataError, Dataset, Evaluation, ResultFolder, evaluate
 from mfcmt_core.otb.compare import compare
 from mfcmt_core.otb.document import Heading, Picture, Strong, Table, to_html, to_markdown
-from mfcmt_core.otb.report import (
-    attributes,
-    differences,
-    per_sequence,
-    published_figures,
-    summary,
-    write_report,
-)
+from mfcmt_core.otb.report import write_report
+from mfcmt_core.otb.reproduce import claims_page
+from mfcmt_core.otb.tables import attributes, differences, per_sequence, published_figures, summary
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +29,8 @@ def test_the_summary_ranks_and_keeps_incomplete_trackers_apart(evaluations: list
     assert [row[0] for row in table.rows] == ["MCCT-H", "SRDCF", "DSST", "Staple", "Struck"]
     assert table.header[-1] == "success on the 25 of all"
     assert table.rows[0][1:3] == ["0.633", "0.842"]
-    assert table.rows[3][6] == "25 of 100"
-    assert table.rows[4][6] == "99 of 100"
+    assert table.rows[3][7] == "25 of 100"
+    assert table.rows[4][7] == "99 of 100"
 
 
 def test_attribute_scores_are_means_over_the_targets_that_have_it(
@@ -113,6 +109,27 @@ def test_files(tmp_path: Path, evaluations: list[Evaluation], otb2015: Dataset) 
     first = data["protocols"]["OPE"][0]
     assert first["success"] == pytest.approx(0.6333, abs=1e-4)
     assert len(first["sequences"]["David"]["success_curve"]) == 21
+
+
+def test_claims_are_judged_by_their_intervals(evaluations: list[Evaluation], otb2015: Dataset) -> None:
+    better, worse = (e.scores for e in evaluations[:2])
+    results = [
+        Evaluation("default", "OPE", better),
+        Evaluation("default-no-scale", "OPE", worse),
+        Evaluation("default-always-update", "OPE", better),
+        Evaluation("paper", "OPE", worse),
+        Evaluation("paper-always-update", "OPE", better),
+        Evaluation("MEEM", "OPE", {}),
+    ]
+    tables = {b.text: t for b, t in itertools.pairwise(blocks(results, otb2015)) if isinstance(t, Table)}
+    assert [row[-1] for row in tables["Estimating the scale pays."].rows] == ["holds"]
+    verdicts = [row[-1] for row in tables["Updating only on reliable frames is better than always updating."].rows]
+    assert verdicts == ["not decided", "does not hold"]
+    assert len(tables) == 2
+
+
+def blocks(results: list[Evaluation], dataset: Dataset) -> list[Heading | Table]:
+    return [b for b in claims_page(dataset, {"OPE": results}) if isinstance(b, Heading | Table)][:-1]
 
 
 def test_the_same_scores_give_the_same_files(tmp_path: Path, evaluations: list[Evaluation], otb2015: Dataset) -> None:
