@@ -22,6 +22,11 @@ class Peaks:
     template: float
     statistical: float
 
+    @property
+    def strength(self) -> tuple[float, float]:
+        """What tells one place from another: the template peak, or where there is none the statistical one."""
+        return self.template, self.statistical
+
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
