@@ -10,6 +10,8 @@ from .result import Flags, Scores, Status
 
 HISTORY = 10
 """Frames that a peak is compared with (section III-C)."""
+MAX_SCORE = 1e9
+"""After frames without content a ratio of peaks knows no bounds; infinity has no place on a wire."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +54,7 @@ class Reliability:
         values = (peaks.fused, peaks.template, peaks.statistical)
         # a flat history (mean 0) and an empty one test nothing
         means = [sum(column) / len(self.history) for column in zip(*self.history, strict=True)] or values
-        scores = Scores(*(v / m if m > 0 else 1.0 for v, m in zip(values, means, strict=True)))
+        scores = Scores(*(min(v / m, MAX_SCORE) if m > 0 else 1.0 for v, m in zip(values, means, strict=True)))
         self.history.append(values)
         flags = Flags(
             scores.fused > c.fused_threshold,

@@ -58,7 +58,6 @@ class Target:
         patch = self.window.crop(frame, within, center, self.scale)
         pixels = _as_mode(patch.pixels, self.grey)
         return Observation(
-            center,
             self.window.rect(center, self.scale),
             patch,
             self.template.spectra(pixels) if self.template else np.empty(0, np.complex64),
@@ -101,7 +100,6 @@ class Observation:
     ``bins`` are empty where there is no such model; ``bins`` is scratch.
     """
 
-    place: Point
     rect: Rect
     patch: Patch
     spectra: Spectra
@@ -247,8 +245,8 @@ class MFCMT:
             if best is None or found.peaks.template > best[1].peaks.template:
                 best = seen, found
         assert best is not None
-        if best[0] is not seen:  # bins and maps are scratch: they must be those of the place chosen
-            seen = target.observe(frame, within, best[0].place)
+        if target.reliability.lost:  # a second look from there: the surroundings at their place, too
+            seen = target.observe(frame, within, best[1].center)
             best = seen, self._detect(target, frame, seen)
         return best
 

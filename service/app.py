@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import secrets
 import time
 from collections.abc import AsyncIterator, Callable
-from typing import Any
 
 import structlog
 from fastapi import FastAPI
@@ -35,6 +33,7 @@ from .observability.lag import watch_lag
 from .observability.metrics import Metrics
 from .service import Service
 from .sessions.book import SessionBook
+from .sessions.config import lane_config
 from .settings import Settings
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.app")
@@ -66,36 +65,25 @@ def create_app(
         redirect_slashes=False,
     )
     app.state.service = service
-    for module in (sessions, frames, targets, trajectory, snapshot, ticket, capabilities):
-        app.include_router(module.router, prefix="/v1")
-    for module in (health, docs):
-        app.include_router(module.router)
+    calls = (sessions, frames, targets, trajectory, snapshot, ticket, capabilities)
+    routers = {"/v1": [module.router for module in calls], "": [health.router, docs.router]}
+    for prefix, some in routers.items():
+        for router in some:
+            app.include_router(router, prefix=prefix)
     app.router.routes.append(WebSocketRoute("/v1/sessions/{session_id}/stream", StreamEndpoint(service)))
     app.add_middleware(Surroundings, service=service)
     errors.install(app)
-    openapi.install(app, authenticated=bool(settings.api_keys))
+    openapi.install(app, routers, authenticated=bool(settings.api_keys))
     app.state.documents = docs.Documents.of(app)
     return app
 
 
 def local_lanes(settings: Settings) -> LanePool:
     """Worker processes on this machine."""
-    keys = [key.get_secret_value().encode() for key in settings.signing_keys]
-    config: dict[str, Any] = {
-        "frame_limits": {
-            "max_bytes": settings.max_frame_bytes,
-            "max_pixels": settings.max_frame_pixels,
-            "max_side": settings.max_frame_side_px,
-            "max_scans": settings.max_frame_scans,
-        },
-        "max_targets": settings.max_targets_per_session,
-        "region_lag": settings.region_lag_frames,
-        "signing_keys": keys or [secrets.token_bytes(32)],
-    }
     return LanePool(
         settings.lanes,
         settings.max_sessions_per_lane,
-        config,
+        lane_config(settings),
         deadline_s=settings.operation_deadline_s,
         start_timeout_s=settings.lane_start_timeout_s,
     )

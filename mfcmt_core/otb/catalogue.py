@@ -199,9 +199,11 @@ def read_config(path: Path) -> MFCMTConfig:
     """
     try:
         text = path.read_text(encoding="utf-8")
-        given: dict[str, Any] = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+        given: Any = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
     except (OSError, ValueError) as failed:
         raise DataError(f"{path}: {failed}") from None
+    if not isinstance(given, dict):
+        raise DataError(f"{path}: not fields with values")
     base = named_config(str(given.pop("base", "default")))
     if base is None:
         raise DataError(f"{path}: base is not a name of a configuration")

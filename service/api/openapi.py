@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
 
-from fastapi import FastAPI
+from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
+from fastapi.routing import APIRoute
 from pydantic import TypeAdapter
 from pydantic.json_schema import models_json_schema
 
@@ -40,31 +42,41 @@ def schemas() -> dict[str, Any]:
     return defined
 
 
-def install(app: FastAPI, *, authenticated: bool) -> None:
-    """Make ``app.openapi()`` give the document."""
+def install(app: FastAPI, routers: Mapping[str, Sequence[APIRouter]], *, authenticated: bool) -> None:
+    """Make ``app.openapi()`` give the document; ``routers`` are those of the calls, by their prefix."""
 
     def document() -> dict[str, Any]:
         if app.openapi_schema is None:
-            app.openapi_schema = _document(app, authenticated)
+            app.openapi_schema = _document(app, routers, authenticated)
         return app.openapi_schema
 
     app.openapi = document  # type: ignore[method-assign]
 
 
-def _document(app: FastAPI, authenticated: bool) -> dict[str, Any]:
+def _document(app: FastAPI, routers: Mapping[str, Sequence[APIRouter]], authenticated: bool) -> dict[str, Any]:
     told = get_openapi(title="MFCMT", version=version("mfcmt"), description=DESCRIPTION, routes=app.routes)
+    for prefix, some in routers.items():
+        for router in some:
+            for route in router.routes:
+                if isinstance(route, APIRoute) and route.include_in_schema:
+                    for method in route.methods or ():
+                        _restore(told["paths"][prefix + route.path][method.lower()], route)
     components = told.setdefault("components", {})
     components["schemas"] = schemas()
-    for path, calls in told["paths"].items():
-        for call in calls.values():
-            # FastAPI documents a validation error of its own; here such a call is a bad-request.
-            if not any("problem" in media for media in call["responses"].get("422", {}).get("content", {})):
-                call["responses"].pop("422", None)
-            if authenticated and path.startswith("/v1/"):
-                call["security"] = [{"bearer": []}, {"apiKey": []}]
     if authenticated:
         components["securitySchemes"] = {
             "bearer": {"type": "http", "scheme": "bearer"},
             "apiKey": {"type": "apiKey", "in": "header", "name": "X-API-Key"},
         }
+        for path, calls in told["paths"].items():
+            for call in calls.values():
+                if path.startswith("/v1/"):
+                    call["security"] = [{"bearer": []}, {"apiKey": []}]
     return told
+
+
+def _restore(call: dict[str, Any], route: APIRoute) -> None:
+    """Answers and body as we wrote them: FastAPI adds an error of its own and drops every null of an example."""
+    call["responses"] = {str(status): answer for status, answer in route.responses.items()}
+    if body := (route.openapi_extra or {}).get("requestBody"):
+        call["requestBody"] = body

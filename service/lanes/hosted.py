@@ -9,7 +9,7 @@ from typing import Any
 
 from mfcmt_core import MFCMT, MFCMTConfig, TrackResult
 
-from ..frames import FrameError, FrameLimits, inspect
+from ..frames import FrameError, FrameLimits
 from ..frames.decode import decode
 from .rows import Rect, covers, from_row, map_images, to_row, union
 from .view import Refused, View
@@ -151,16 +151,14 @@ class HostedSession:
         self._next_id += 1
 
     def _view(self, data: bytes, region: list[int] | None) -> View:
-        """The frame's pixels, decoded once its header and its region are found to fit."""
-        limits = self._options.limits
+        """The frame's pixels, once its header, its pixels and its region are found to be good."""
         try:
-            info = inspect(data, limits)
-            size = (info.width, info.height)
-            if self._size != (0, 0):
-                self._check_place(size, region)
-            image, _ = decode(data, limits)
+            image, info = decode(data, self._options.limits)
         except FrameError as bad:
             raise Refused(bad.code, bad.detail) from bad
+        size = (info.width, info.height)
+        if self._size != (0, 0):
+            self._check_place(size, region)
         return View(image, (0, 0), size) if region is None else View(image, (region[0], region[1]), self._size)
 
     def _check_place(self, size: tuple[int, int], region: list[int] | None) -> None:

@@ -48,7 +48,7 @@ class LanePool:
 
     async def start(self) -> None:
         """Begin to start all lanes."""
-        self._context.set_forkserver_preload(["service.lanes.preload"])
+        self._context.set_forkserver_preload(["service.lanes.forkserver"])
         # Here, because the fork server dies with the thread that starts it (see orphans).
         forkserver.ensure_running()
         # Without this an interpreter that ends without stop() would wait for its workers for ever.

@@ -1,15 +1,13 @@
-"""Loaded once in the fork server: the tracker, its kernels compiled and warm, and the decoders.
+"""What a lane works with, ready: the tracker, its kernels compiled and warm, and the decoders.
 
-Every lane is a fork of this state and starts in milliseconds. Importing this module does the work; only
-the fork server and the tests of lanes import it.
+Importing this module does the work, for the process that imports it: the fork server, of which every lane
+is a fork that starts in milliseconds, and whoever measures a lane's work without one.
 """
 
 # ruff: noqa: E402
 from __future__ import annotations
 
-import gc
 import os
-import signal
 
 # Before the libraries load: a second thread doubles the CPU time of a frame and gains nothing, and no
 # decoder may open what the header check would refuse (its limit can be set no higher than this).
@@ -25,12 +23,7 @@ from mfcmt_core import MFCMT, MFCMTConfig
 from ..frames import FrameLimits
 from ..frames.decode import decode
 from . import store as store
-from .orphans import die_with_parent
 
-# The front ends its lanes itself, after it has drained; a signal to the whole group must not come first.
-signal.signal(signal.SIGTERM, signal.SIG_IGN)
-signal.signal(signal.SIGINT, signal.SIG_IGN)
-die_with_parent()
 cv2.setNumThreads(1)
 
 
@@ -48,6 +41,3 @@ def _warm() -> None:
 
 
 _warm()
-# What is here now never dies: keep the collector from touching (and so copying) its pages in every lane.
-gc.collect()
-gc.freeze()

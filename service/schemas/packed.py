@@ -1,4 +1,4 @@
-"""JSON and MessagePack from outside, to plain values: bounded in depth, width and time."""
+"""JSON and MessagePack from outside, to plain values: bounded in depth, width and so in time."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import msgpack
 
 MAX_ITEMS = 256
 MAX_KEYS = 32
+MAX_ITEMS_IN_ALL = 2048
 
 
 class Unreadable(Exception):
@@ -27,9 +28,9 @@ def from_json(text: str | bytes) -> Any:
 def from_msgpack(data: bytes | memoryview) -> Any:
     """The value of a MessagePack document without extension types. Raises Unreadable.
 
-    Containers within containers within containers are refused as soon as the innermost are read, so that
-    no message costs more than its bytes.
+    Items of containers are counted as they are read: what is too wide or too deep is refused on the way.
     """
+    budget = _Budget()
     try:
         return msgpack.unpackb(
             data,
@@ -39,8 +40,8 @@ def from_msgpack(data: bytes | memoryview) -> Any:
             max_map_len=MAX_KEYS,
             max_ext_len=0,
             ext_hook=_refuse,
-            list_hook=_shallow,
-            object_pairs_hook=_unique,
+            list_hook=budget.items,
+            object_pairs_hook=budget.pairs,
         )
     except (ValueError, TypeError, msgpack.UnpackException) as broken:
         raise Unreadable("not a MessagePack document") from broken
@@ -74,8 +75,20 @@ def _unique(pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
     return value
 
 
-def _shallow(items: list[Any]) -> list[Any]:
-    for item in items:
-        if type(item) is list and any(type(inner) in (list, dict) for inner in item):
-            raise ValueError("nested too deep")
-    return items
+class _Budget:
+    """Items that one document may still have, in all its containers together."""
+
+    __slots__ = ("_left",)
+
+    def __init__(self) -> None:
+        self._left = MAX_ITEMS_IN_ALL
+
+    def items(self, items: list[Any]) -> list[Any]:
+        self._left -= len(items)
+        if self._left < 0:
+            raise ValueError("too many items")
+        return items
+
+    def pairs(self, pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
+        self.items(pairs)
+        return _unique(pairs)

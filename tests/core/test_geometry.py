@@ -48,9 +48,9 @@ def test_clip_rect(rect):
     x, y, w, h = clip_rect(rect, (100, 80))
     assert w >= 1
     assert h >= 1
-    assert 0 <= x
+    assert x >= 0
     assert x + w <= 100
-    assert 0 <= y
+    assert y >= 0
     assert y + h <= 80
     assert clip_rect((x, y, w, h), (100, 80)) == (x, y, w, h)
     inside = {(i, j) for i in range(rect[0], rect[0] + rect[2]) for j in (rect[1],) if 0 <= i < 100}

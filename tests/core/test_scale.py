@@ -107,14 +107,11 @@ def test_nothing_to_see_keeps_the_size(image, value):
 @settings(max_examples=100, deadline=None)
 @given(st.floats(1e-3, 4000), st.floats(1e-3, 4000), st.floats(64, 4096))
 def test_samples_keep_to_their_area(w, h, area):
-    """Whole cells, at least two a side, at most about the area: also for the thinnest targets."""
+    """Of the target's aspect to half a cell, between 8 and 64 px a side: also for the thinnest targets."""
     model = ScaleModel(CONFIG.replace(scale_max_area=area), (w, h))
-    assert model.width % 4 == model.height % 4 == 0
-    assert min(model.width, model.height) >= 8
-    assert model.width * model.height <= max((np.sqrt(area) + 4) ** 2, 8 * 64) * 1.5
-    for side, other in ((model.width / model.height, w / h), (model.height / model.width, h / w)):
-        if other <= 1:  # the aspect is kept to the next whole cell
-            assert side == pytest.approx(other, abs=0.3) or model.width == 64 or model.height == 64
+    for side, exact in ((model.width, np.sqrt(area * w / h)), (model.height, np.sqrt(area * h / w))):
+        assert side % 4 == 0
+        assert side == pytest.approx(np.clip(exact, 8, 64), abs=2.001)
 
 
 @settings(max_examples=100, deadline=None)

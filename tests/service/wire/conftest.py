@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import ExitStack, asynccontextmanager
@@ -11,6 +12,7 @@ import httpx2
 import msgpack
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed
 
 from service.load.clips import Clip, open_clip, sample
 from service.load.own import OwnServer
@@ -49,6 +51,14 @@ class Stream:
         """The code of the error that is heard."""
         code: str = (await self.hear("error"))["problem"]["code"]
         return code
+
+    async def closed(self) -> int:
+        """The close code, whatever is said before it."""
+        try:
+            while True:
+                await asyncio.wait_for(self.socket.recv(), 15)
+        except ConnectionClosed as end:
+            return end.rcvd.code if end.rcvd else 1006
 
 
 class Wire:

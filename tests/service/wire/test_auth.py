@@ -7,11 +7,11 @@ import json
 
 import httpx2
 import pytest
-from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.exceptions import InvalidStatus
 
 from service.load.clips import Clip
 
-from .conftest import Serve, Stream, Wire
+from .conftest import Serve, Wire
 
 KEY, OTHER, ADMIN = "key-of-the-first-tenant", "key-of-the-other-tenant", "key-of-the-operator"
 
@@ -22,13 +22,6 @@ async def refusal(wire: Wire, sid: str, **how: object) -> tuple[int, str]:
             pass
     response = refused.value.response
     return response.status_code, json.loads(response.body or b"")["code"]
-
-
-async def closed(stream: Stream) -> int:
-    with pytest.raises(ConnectionClosed) as end:
-        await asyncio.wait_for(stream.socket.recv(), 10)
-    assert end.value.rcvd is not None
-    return end.value.rcvd.code
 
 
 @pytest.fixture
@@ -124,7 +117,7 @@ async def test_tickets_admit_once_and_to_their_session_alone(guarded: Wire, clip
         again = await ticket(sessions[0])
         guarded.headers = {}
         async with guarded.stream(sessions[0], protocols=offer(again), takeover="true"):
-            assert await closed(stream) == 4409
+            assert await stream.closed() == 4409
     assert await refusal(guarded, sessions[0], protocols=offer(first)) == (401, "unauthenticated")
     assert await refusal(guarded, sessions[1], protocols=offer(strayed)) == (401, "unauthenticated")
     assert await refusal(guarded, sessions[0], protocols=offer(strayed)) == (401, "unauthenticated")
@@ -140,13 +133,13 @@ async def test_browsers_without_a_key_or_from_elsewhere(guarded: Wire, clip: Cli
     evil, friend = {"Origin": "https://evil.example"}, {"Origin": "https://app.example"}
     async with guarded.stream(sid, headers=evil) as stream:
         assert await stream.refused() == "origin-refused"
-        assert await closed(stream) == 4403
+        assert await stream.closed() == 4403
     async with guarded.stream(sid, headers=friend) as stream:
         await stream.hear("ready")
     guarded.headers = {}
     async with guarded.stream(sid, headers=friend) as stream:
         assert await stream.refused() == "unauthenticated"
-        assert await closed(stream) == 4401
+        assert await stream.closed() == 4401
     response = await guarded.http.get("/v1/sessions", headers=evil)
     assert (response.status_code, response.json()["code"]) == (403, "origin-refused")
     assert "access-control-allow-origin" not in response.headers

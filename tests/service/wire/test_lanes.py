@@ -9,13 +9,11 @@ import signal
 import time
 
 import httpx2
-import pytest
-from websockets.exceptions import ConnectionClosed
 
 from service.load.clips import Clip
 from service.load.usage import server_processes
 
-from .conftest import Serve, Stream, Wire
+from .conftest import Serve, Wire
 
 
 def lanes_of(wire: Wire) -> list[int]:
@@ -32,14 +30,6 @@ async def until_ready(wire: Wire, lanes: int) -> None:
             return
         await asyncio.sleep(0.02)
     raise AssertionError("the lane was not replaced")
-
-
-async def closed(stream: Stream) -> int:
-    with pytest.raises(ConnectionClosed) as end:
-        for _ in range(100):
-            await asyncio.wait_for(stream.socket.recv(), 10)
-    assert end.value.rcvd is not None
-    return end.value.rcvd.code
 
 
 async def test_a_hundred_at_once_on_ten_places(serve: Serve, clip: Clip) -> None:
@@ -81,7 +71,7 @@ async def test_a_killed_lane_is_noticed_replaced_and_alone(serve: Serve, clip: C
         wire.stream(second["id"], mode="lossless") as two,
     ):
         os.kill(before[0], signal.SIGKILL)
-        ends = {asyncio.create_task(closed(stream)): stream for stream in (one, two)}
+        ends = {asyncio.create_task(stream.closed()): stream for stream in (one, two)}
         done, _ = await asyncio.wait(ends, timeout=5, return_when=asyncio.FIRST_COMPLETED)
         assert [task.result() for task in done] == [4410]
         (lost,) = done
@@ -109,7 +99,7 @@ async def test_a_lane_is_killed_in_the_middle_of_frames(serve: Serve, clip: Clip
             for frame in clip.frames[1:5]:
                 await stream.frame(frame)
             os.kill(lanes_of(wire)[0], signal.SIGKILL)
-            assert await closed(stream) == 4410
+            assert await stream.closed() == 4410
         await until_ready(wire, 1)
     assert "Traceback" not in wire.server.log
 
@@ -168,8 +158,8 @@ async def test_the_first_sigterm_drains_and_streams_are_told(serve: Serve, clip:
         assert (await stream.hear("result"))["seq"] == 1
         async with wire.stream(session["id"], headers={"Origin": wire.server.url}, takeover="true") as refused:
             assert await refused.refused() == "draining"
-            assert await closed(refused) == 1013
-        assert await closed(stream) == 1012
+            assert await refused.closed() == 1013
+        assert await stream.closed() == 1012
     assert await _exit_code(wire) == 0
     assert "Traceback" not in wire.server.log
 
@@ -181,7 +171,7 @@ async def test_the_second_sigterm_stops_at_once(serve: Serve, clip: Clip) -> Non
         os.kill(wire.server.pid, signal.SIGTERM)
         await stream.hear("draining")
         os.kill(wire.server.pid, signal.SIGTERM)
-        assert await closed(stream) in (1001, 1012)
+        assert await stream.closed() in (1001, 1012)
     assert await _exit_code(wire) == 0
 
 

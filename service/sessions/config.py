@@ -1,0 +1,26 @@
+"""What the front tells its lanes when they start."""
+
+from __future__ import annotations
+
+import secrets
+from typing import Any
+
+from ..settings import Settings
+
+KEY_BYTES = 32
+
+
+def lane_config(settings: Settings) -> dict[str, Any]:
+    """Plain values for ``service.lanes.store.Store``; without signing keys, one for this process alone."""
+    keys = [key.get_secret_value().encode() for key in settings.signing_keys]
+    return {
+        "frame_limits": {
+            "max_bytes": settings.max_frame_bytes,
+            "max_pixels": settings.max_frame_pixels,
+            "max_side": settings.max_frame_side_px,
+            "max_scans": settings.max_frame_scans,
+        },
+        "max_targets": settings.max_targets_per_session,
+        "region_lag": settings.region_lag_frames,
+        "signing_keys": keys or [secrets.token_bytes(KEY_BYTES)],
+    }

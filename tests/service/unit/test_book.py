@@ -1,0 +1,266 @@
+"""The book with a clock of its own and lanes that only answer: who may stay, who must go, what is remembered."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Sequence
+from typing import Any
+
+import pytest
+
+from service.lanes.interface import AtCapacity, Buffers, KeysLost, LaneEvent, LaneLost, LaneStatus
+from service.lanes.wire import decode_call, encode_reply
+from service.observability.metrics import Metrics
+from service.problems import ProblemError
+from service.sessions.book import SessionBook
+from service.sessions.session import Frame, Options, Session
+from service.settings import Settings
+
+ROW = [0, [1.0, 2.0, 3.0, 4.0], "tracking", None, None, None, None, True, 1.0]
+STATE = {"seq": 0, "size": [64, 48], "region": None, "rows": [ROW], "decode_s": 0.001, "track_s": 0.001}
+
+
+class Lanes:
+    """Places, and an answer to everything."""
+
+    def __init__(self, places: int) -> None:
+        self.places = places
+        self.keys: set[str] = set()
+        self.lost: asyncio.Queue[LaneEvent] = asyncio.Queue()
+        self.refuse: str | None = None
+
+    async def start(self) -> None: ...
+
+    async def stop(self) -> None: ...
+
+    def reserve(self, key: str) -> None:
+        if len(self.keys) >= self.places:
+            raise AtCapacity
+        self.keys.add(key)
+
+    async def call(self, key: str, request: Buffers) -> bytes:
+        await asyncio.sleep(0)
+        if key not in self.keys:
+            raise LaneLost
+        op, _, args, _ = decode_call(memoryview(b"".join(request)))
+        if self.refuse:
+            return encode_reply(self.refuse, ["no", {}])
+        return encode_reply(None, STATE | {"seq": args.get("seq", 0), "answers": []} if op != "snapshot" else b"s")
+
+    def release(self, key: str) -> None:
+        self.keys.discard(key)
+
+    async def events(self) -> AsyncIterator[LaneEvent]:
+        while True:
+            yield await self.lost.get()
+
+    def status(self) -> list[LaneStatus]:
+        return []
+
+
+class Stream:
+    """An attachment that notes how it ended."""
+
+    name = "s"
+
+    def __init__(self) -> None:
+        self.ends: list[int] = []
+
+    def tell(self, message: dict[str, Any]) -> None: ...
+
+    def end(self, code: int, reason: str) -> None:
+        self.ends.append(code)
+
+    def check(self, now: float) -> None: ...
+
+
+class World:
+    """A book, its lanes and its clock."""
+
+    def __init__(self, places: int = 2, **settings: Any) -> None:
+        self.now = 1000.0
+        self.lanes = Lanes(places)
+        chosen = {"idle_timeout_s": 10, "attached_idle_timeout_s": 50, "max_session_s": 100, "tombstone_s": 30}
+        self.settings = Settings(**chosen | settings)
+        self.book = SessionBook(self.settings, self.lanes, Metrics(), lambda: self.now)
+
+    async def create(self, owner: str = "me", key: str | None = None, idle_s: float = 10) -> Session:
+        options = Options("default", "reject", None, False, idle_s)
+        return await self.book.create(owner, b"frame", [[1, 2, 3, 4]], options, key)
+
+
+def code_of(refused: pytest.ExceptionInfo[ProblemError]) -> tuple[str, Any]:
+    return refused.value.code, refused.value.members.get("reason")
+
+
+def gone(world: World, session: Session, owner: str = "me") -> tuple[str, Any]:
+    with pytest.raises(ProblemError) as refused:
+        world.book.find(owner, session.id)
+    return code_of(refused)
+
+
+async def test_the_expired_go_before_anyone_is_refused_and_the_living_stay() -> None:
+    world = World(places=2)
+    idle = await world.create()
+    world.now += 6
+    living = await world.create()
+    world.now += 6
+    new = await world.create()
+    assert gone(world, idle) == ("session-gone", "idle")
+    assert world.book.find("me", living.id) is living
+    with pytest.raises(ProblemError) as refused:
+        await world.create()
+    assert refused.value.code == "at-capacity"
+    assert refused.value.members["retry_after_s"] > 0
+    assert world.lanes.keys == {living.id, new.id}
+
+
+async def test_calls_keep_a_session_and_nothing_keeps_it_for_ever() -> None:
+    world = World()
+    session = await world.create()
+    for _ in range(19):
+        world.now += 5
+        assert world.book.find("me", session.id) is session
+    world.now += 6
+    assert gone(world, session) == ("session-gone", "expired")
+
+
+async def test_a_stream_has_a_time_of_its_own() -> None:
+    world = World()
+    session = await world.create()
+    stream = Stream()
+    session.attachment = stream
+    world.now += 40
+    world.book.sweep()
+    assert stream.ends == []
+    world.now += 11
+    world.book.sweep()
+    assert stream.ends == [4408]
+    assert session.ended == "idle"
+
+
+@pytest.mark.parametrize(("reason", "close"), [("closed", 1000), ("expired", 4410), ("lost", 4410)])
+async def test_streams_are_closed_with_the_code_of_the_end(reason: str, close: int) -> None:
+    world = World()
+    session = await world.create()
+    stream = Stream()
+    session.attachment = stream
+    world.book.end(session, reason)
+    assert stream.ends == [close]
+    assert gone(world, session) == ("session-gone", reason)
+    with pytest.raises(ProblemError) as refused:
+        await session.track(Frame(b"", 1, None, None, 0.0))
+    assert code_of(refused) == ("session-gone", reason)
+
+
+async def test_tombstones_are_for_the_owner_and_fade() -> None:
+    world = World(max_tombstones=2)
+    session = await world.create()
+    world.book.close("me", session.id)
+    world.book.close("me", session.id)
+    assert gone(world, session) == ("session-gone", "closed")
+    assert gone(world, session, "other") == ("session-not-found", None)
+    with pytest.raises(ProblemError, match="session-not-found"):
+        world.book.close("other", session.id)
+    world.now += 31
+    assert gone(world, session) == ("session-not-found", None)
+    ended = [await world.create() for _ in range(2)]
+    for one in ended:
+        world.book.close("me", one.id)
+    third = await world.create()
+    world.book.close("me", third.id)
+    assert gone(world, ended[0]) == ("session-not-found", None)
+    assert gone(world, third) == ("session-gone", "closed")
+
+
+async def test_a_lost_lane_takes_its_sessions_and_no_others() -> None:
+    world = World()
+    dead, alive = await world.create(), await world.create()
+    follower = asyncio.create_task(world.book.follow_lanes())
+    world.lanes.lost.put_nowait(KeysLost(0, "died", (dead.id, "never-known")))
+    await asyncio.sleep(0.01)
+    follower.cancel()
+    assert gone(world, dead) == ("session-gone", "lost")
+    assert world.book.find("me", alive.id) is alive
+
+
+async def test_a_refused_creation_leaves_no_trace() -> None:
+    world = World(places=1)
+    world.lanes.refuse = "bad-box"
+    for _ in range(3):
+        with pytest.raises(ProblemError, match="bad-box"):
+            await world.create(key="k")
+    assert not world.lanes.keys
+    world.lanes.refuse = None
+    session = await world.create(key="k")
+    assert await world.create(key="k") is session
+
+
+async def test_the_same_key_makes_one_session() -> None:
+    world = World(places=5)
+    made: Sequence[Session] = await asyncio.gather(*(world.create(key="k") for _ in range(4)))
+    assert len({s.id for s in made}) == 1
+    assert len(world.book) == 1
+    assert (await world.create("other", key="k")).id != made[0].id
+    options = Options("paper", "reject", None, False, 10)
+    with pytest.raises(ProblemError, match="bad-request"):
+        await world.book.create("me", b"frame", [[1, 2, 3, 4]], options, "k")
+    world.now += 601
+    assert (await world.create(key="k")).id != made[0].id
+
+
+async def test_a_lane_that_dies_under_a_creation_is_a_lack_of_room() -> None:
+    world = World()
+    reserve = world.lanes.reserve
+
+    def lose(key: str) -> None:
+        reserve(key)
+        world.lanes.keys.clear()
+
+    world.lanes.reserve = lose  # type: ignore[method-assign]
+    with pytest.raises(ProblemError, match="at-capacity"):
+        await world.create()
+    assert len(world.book) == 0
+
+
+async def test_pages_go_on_where_they_ended() -> None:
+    world = World(places=10)
+    made = [await world.create() for _ in range(5)]
+    await world.create("other")
+    first, after = world.book.owned("me", 0, 2)
+    world.book.close("me", made[1].id)
+    assert after is not None
+    second, end = world.book.owned("me", after, 10)
+    assert [s.id for s in first + second] == [s.id for s in made]
+    assert end is None
+
+
+async def test_no_new_sessions_while_draining() -> None:
+    world = World()
+    session = await world.create()
+    world.book.drain(lambda: 1.0)
+    with pytest.raises(ProblemError, match="draining"):
+        await world.create()
+    assert world.book.find("me", session.id) is session
+
+
+async def test_one_operation_of_a_session_at_a_time() -> None:
+    world = World()
+    session = await world.create()
+    running = 0
+    call = world.lanes.call
+
+    async def watched(key: str, request: Buffers) -> bytes:
+        nonlocal running
+        running += 1
+        assert running == 1
+        await asyncio.sleep(0.001)
+        reply = await call(key, request)
+        running -= 1
+        return reply
+
+    world.lanes.call = watched  # type: ignore[method-assign]
+    frames = [Frame(b"", session.number(None), None, None, 0.0) for _ in range(10)]
+    results = await asyncio.gather(*(session.track(frame) for frame in frames))
+    assert [result["seq"] for result, _ in results] == list(range(1, 11))
+    assert len(session.trajectory) == 11

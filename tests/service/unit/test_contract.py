@@ -1,0 +1,131 @@
+"""Both contracts: complete, valid, and their examples are what they say."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from jsonschema_rs import Draft202012Validator
+
+from service.api import asyncapi, capabilities, page
+from service.app import create_app
+from service.problems import CATALOGUE, ProblemError
+from service.schemas import examples, messages, session
+from service.settings import Settings
+
+PROTOCOL = Path(__file__).resolve().parents[3] / "docs" / "protocol.md"
+
+
+@pytest.fixture(scope="module")
+def openapi() -> dict[str, Any]:
+    document: dict[str, Any] = create_app(Settings()).openapi()
+    return document
+
+
+def check(document: dict[str, Any], schema: dict[str, Any], value: Any) -> None:
+    Draft202012Validator({**schema, "components": document["components"]}).validate(value)
+
+
+def test_the_catalogue_is_that_of_the_protocol() -> None:
+    rows = re.findall(r"^\| (`[^|]*) \| ([\d, ]+) \|", PROTOCOL.read_text().split("## Problems")[1], re.M)
+    told = {}
+    for codes, statuses in rows:
+        names = re.findall(r"`([a-z-]+)`", codes)
+        numbers = [int(n) for n in statuses.split(",")]
+        told |= dict(zip(names, numbers if len(numbers) > 1 else numbers * len(names), strict=True))
+    assert told == {code: kind.status for code, kind in CATALOGUE.items()}
+
+
+def test_the_close_codes_are_those_of_the_protocol() -> None:
+    line = PROTOCOL.read_text().split("Close codes: ")[1].split("\n")[0]
+    assert {int(n) for n in re.findall(r"(?:^|· )(\d{4})", line)} == set(asyncapi.close_codes())
+
+
+def test_every_call_of_the_protocol_is_documented(openapi: dict[str, Any]) -> None:
+    rows = re.findall(r"^\| `(GET|POST|PUT|DELETE) (/v1[^`?]*)", PROTOCOL.read_text(), re.M)
+    told = {
+        (method.upper(), path.replace("session_id", "id").replace("target_id", "tid"))
+        for path, calls in openapi["paths"].items()
+        for method in calls
+        if path.startswith("/v1")
+    }
+    assert set(rows) == told
+
+
+def test_every_answer_and_body_has_an_example_that_fits(openapi: dict[str, Any]) -> None:
+    seen = 0
+    for path, calls in openapi["paths"].items():
+        for method, call in calls.items():
+            contents = [told.get("content", {}) for told in call["responses"].values()]
+            contents.append(call.get("requestBody", {}).get("content", {}))
+            for content in contents:
+                for kind, media in content.items():
+                    shown = [media["example"]] if "example" in media else []
+                    shown += [example["value"] for example in media.get("examples", {}).values()]
+                    assert shown, (method, path, kind)
+                    for value in shown:
+                        if kind not in ("multipart/form-data",):
+                            check(openapi, media["schema"], value)
+                        seen += 1
+            assert call["description"]
+            assert all("description" in parameter for parameter in call.get("parameters", ())) or path
+    assert seen > 100
+
+
+def test_every_problem_is_documented_with_its_example(openapi: dict[str, Any]) -> None:
+    shown = {
+        code: example["value"]
+        for calls in openapi["paths"].values()
+        for call in calls.values()
+        for told in call["responses"].values()
+        for code, example in told.get("content", {}).get("application/problem+json", {}).get("examples", {}).items()
+    }
+    # The first two are of no call in particular.
+    assert set(CATALOGUE) - set(shown) == {"not-found", "method-not-allowed"}
+    for code, body in shown.items():
+        assert session.Problem.model_validate(body).code == code
+        assert body["status"] == CATALOGUE[code].status
+
+
+def test_examples_fit_their_models() -> None:
+    session.Session.model_validate(examples.SESSION)
+    session.Result.model_validate(examples.RESULT)
+    session.TrajectoryAnswer.model_validate(examples.TRAJECTORY)
+    session.Capabilities.model_validate(examples.CAPABILITIES)
+    document = asyncapi.document()
+    for model in (*messages.CLIENT, *messages.SERVER):
+        for example in asyncapi.EXAMPLES[model.__name__]:
+            check(document, {"$ref": f"#/components/schemas/{model.__name__}"}, example)
+
+
+def test_what_the_service_says_of_itself_is_the_example() -> None:
+    app = create_app(Settings(lanes=2))
+    told = capabilities.capabilities(app.state.service)
+    session.Capabilities.model_validate(told)
+    assert told["limits"] == examples.CAPABILITIES["limits"]
+
+
+def test_the_asyncapi_document_holds_together() -> None:
+    document = asyncapi.document()
+    assert document["asyncapi"] == "3.0.0"
+    text = str(document)
+    for ref in set(re.findall(r"'\$ref': '#/([^']+)'", text)):
+        node: Any = document
+        for part in ref.split("/"):
+            node = node[part]
+    assert {op["action"] for op in document["operations"].values()} == {"send", "receive"}
+
+
+def test_the_page_shows_all(openapi: dict[str, Any]) -> None:
+    html = page.render(openapi, asyncapi.document())
+    for code in CATALOGUE:
+        assert f'id="{code}"' in html
+        assert ProblemError(code, "d").body()["type"] == f"/docs#{code}"
+    for path in openapi["paths"]:
+        assert path in html
+    for model in (*messages.CLIENT, *messages.SERVER):
+        assert f"<code>{model.__name__}</code>" in html
+    assert "http://" not in re.sub(r"ws?://127|http://127", "", html)
+    assert "https://" not in html

@@ -1,0 +1,143 @@
+"""Messages and bodies from outside: whatever the bytes, an answer of the catalogue and bounded work."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import msgpack
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from pydantic import BaseModel, ValidationError
+
+from service.problems import CATALOGUE, ProblemError
+from service.schemas import messages as models
+from service.schemas.packed import Unreadable, from_json, from_msgpack, to_json
+from service.stream.codec import JsonCodec, MsgpackCodec
+from service.stream.messages import Control, FrameMessage
+
+MODELS: dict[str, type[BaseModel]] = {
+    "meta": models.Meta,
+    "add": models.Add,
+    "correct": models.Correct,
+    "remove": models.Remove,
+}
+numbers = st.one_of(st.integers(-10, 2**54), st.floats(allow_nan=True), st.booleans(), st.just(10**400))
+scalars = st.one_of(st.none(), numbers, st.text(max_size=70))
+boxes = st.one_of(scalars, st.lists(st.one_of(numbers, st.floats(1, 900)), max_size=5))
+regions = st.one_of(scalars, st.lists(st.one_of(st.integers(0, 900), numbers), min_size=3, max_size=5))
+maps = st.fixed_dictionaries(
+    {"type": st.one_of(st.sampled_from([*MODELS, "frame", "jump"]), scalars)},
+    optional={
+        "box": boxes,
+        "target": scalars,
+        "ref": scalars,
+        "on": st.one_of(st.just("next"), scalars),
+        "seq": scalars,
+        "ts": scalars,
+        "region": regions,
+        "more": scalars,
+    },
+)
+
+
+def read(codec: Any, event: dict[str, Any]) -> Any:
+    """What the codec makes of it, or the code of the refusal."""
+    try:
+        return codec.read(event)
+    except Unreadable:
+        return "unreadable"
+    except ProblemError as refused:
+        told = from_json(to_json(refused.body()))
+        return told["code"] if told["code"] in CATALOGUE else told
+
+
+@given(st.binary(max_size=400))
+@example(b"")
+@example(b"\xc1")
+@example(b"\x91" * 100_000)
+@example(b"\xdf\xff\xff\xff\xff")
+@example(b"\xdd\x7f\xff\xff\xff")
+@example(b"\xd6\xff\x00\x00\x00\x01")
+@example(b"\x82\xa4type\xa3add\xa4type\xa3add")
+@example(b"\x81\x01\x02")
+@example(b"\x81\xa4type\xd9\x04\xff\xff\xff\xff")
+def test_any_bytes_are_read_or_refused(data: bytes) -> None:
+    read(MsgpackCodec(), {"bytes": data})
+    read(JsonCodec(65536), {"text": data.decode("latin-1")})
+
+
+@given(maps)
+def test_maps_are_read_as_the_models_say(message: dict[str, Any]) -> None:
+    """The hand-written reader and the models of the contract agree on what is a message."""
+    message = {name: value for name, value in message.items() if value == value}
+    message.setdefault("type", None)
+    outcome = read(JsonCodec(65536), {"text": json.dumps(message)})
+    model = MODELS.get(message["type"]) if isinstance(message["type"], str) else None
+    if model is None:
+        assert outcome in ("bad-request", "unreadable")
+        return
+    try:
+        model.model_validate_json(json.dumps(message), strict=True)
+        valid = True
+    except ValidationError:
+        valid = False
+    if valid:
+        assert outcome is None or isinstance(outcome, Control), (message, outcome)
+    if outcome is None or isinstance(outcome, Control):
+        assert valid or _only_stricter(message), (message, outcome)
+
+
+def _only_stricter(message: dict[str, Any]) -> bool:
+    # The models bound regions to the frame's largest size from below too, the reader leaves that to the lane.
+    return any(isinstance(v, int) and v < 0 for v in message.get("region") or ())
+
+
+@given(st.dictionaries(st.sampled_from(["type", "frame", "seq", "ts", "region"]), scalars | st.binary(max_size=9)))
+def test_msgpack_frames(message: dict[str, Any]) -> None:
+    message["type"] = "frame"
+    try:
+        data = msgpack.packb(message)
+    except OverflowError:
+        return
+    outcome = read(MsgpackCodec(), {"bytes": data})
+    assert outcome == "unreadable" or isinstance(outcome, FrameMessage)
+    if isinstance(outcome, FrameMessage) and outcome.problem is None:
+        assert outcome.data == message["frame"]
+
+
+def test_numbers_of_any_kind_in_a_box() -> None:
+    for value, code in ((math.inf, "bad-box"), (-math.inf, "bad-box"), (math.nan, "bad-box"), ("nan", "bad-request")):
+        data = msgpack.packb({"type": "add", "box": [value, 1, 2, 3]})
+        assert read(MsgpackCodec(), {"bytes": data}) == code
+    control = read(MsgpackCodec(), {"bytes": msgpack.packb({"type": "add", "box": [-0.0, 5e-324, 1, 2**60]})})
+    assert control.command["box"] == [0.0, 5e-324, 1.0, float(2**60)]
+
+
+@pytest.mark.parametrize(
+    "bomb",
+    [
+        msgpack.packb([[0] * 250] * 10),
+        msgpack.packb([[[0] * 200] * 200] * 200),
+        msgpack.packb({"a": [{"b": [1] * 100}] * 200}),
+        b"\x9f" * 5 + b"\x01" * 3_000_000,
+        b"\x8f" + (b"\xa1a" + b"\x9f" + b"\x9f" * 15) * 15,
+        msgpack.packb([0] * 257),
+        msgpack.packb({str(n): n for n in range(33)}),
+    ],
+)
+def test_bombs_are_refused_on_the_way(bomb: bytes) -> None:
+    with pytest.raises(Unreadable):
+        from_msgpack(bomb)
+
+
+def test_json_is_rfc_8259() -> None:
+    for text in ("NaN", "[Infinity]", '{"a":1,"a":2}', "[" * 100_000, "1" * 5000, "", "{'a':1}"):
+        with pytest.raises(Unreadable):
+            from_json(text)
+    assert from_json('{"a":[1.5,"é"]}') == {"a": [1.5, "é"]}
+    assert to_json({"a": b"\x00\x01"}) == '{"a":"AAE="}'
+    with pytest.raises(ValueError, match="JSON"):
+        to_json({"a": math.nan})

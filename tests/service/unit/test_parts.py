@@ -1,0 +1,205 @@
+"""The small parts: fair turns, waiting frames, buckets, memories, the past."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from service.lanes.cores import usable_cores
+from service.lanes.fair import FairQueue
+from service.lanes.wire import Disorder, Splitter, decode_call, encode_call, framed
+from service.problems import ProblemError
+from service.sessions.bucket import Bucket
+from service.sessions.memory import Memory
+from service.sessions.session import Frame
+from service.sessions.trajectory import Entry, Trajectory, unpacked
+from service.stream.flow import Flow, Mode
+from service.stream.messages import Control
+
+ROW = [0, [1.0, 2.0, 3.0, 4.0], "tracking", True, None, None, 12.5, True, 1.0]
+
+
+def test_who_has_used_least_time_is_next() -> None:
+    queue: FairQueue[int] = FairQueue()
+    turns = []
+    for n in range(100):
+        queue.push("flood", n)
+    for n in range(10):
+        queue.push("calm", n)
+    for _ in range(40):
+        turn = queue.pop()
+        assert turn is not None
+        turns.append(turn[0])
+        queue.charge(turn[0], 0.004 if turn[0] == "flood" else 0.002)
+    # The calm one is never behind more than one turn of the other, until it has nothing more.
+    assert turns[:15].count("calm") == 10
+    assert "flood" in turns[:3]
+
+
+def test_sleeping_saves_nothing_up() -> None:
+    queue: FairQueue[int] = FairQueue()
+    queue.push("old", 0)
+    for n in range(50):
+        queue.push("busy", n)
+        turn = queue.pop()
+        assert turn is not None
+        queue.charge(turn[0], 1.0)
+    queue.push("old", 1)
+    for n in range(4):
+        queue.push("busy", n)
+    first = [turn[0] for turn in (queue.pop(), queue.pop()) if turn]
+    queue.charge("old", 1.0)
+    assert first.count("old") == 1
+
+
+def test_a_forgotten_key_leaves_what_waited() -> None:
+    queue: FairQueue[str] = FairQueue()
+    queue.push("a", "1")
+    queue.push("a", "2")
+    assert queue.forget("a") == ["1", "2"]
+    assert queue.pop() is None
+    queue.charge("a", 1.0)
+    assert len(queue) == 0
+
+
+def frame(seq: int) -> Frame:
+    return Frame(b"", seq, None, None, 0.0)
+
+
+def flow(mode: Mode, credit: int = 2) -> Flow:
+    return Flow(mode, credit, lambda: None)
+
+
+CONTROL = Control({"type": "remove", "target": 0}, None, on_next=False)
+
+
+async def test_latest_keeps_the_newest_and_the_order_of_controls() -> None:
+    waiting = flow("latest")
+    waiting.put_frame(frame(1), [])
+    waiting.put_control(CONTROL)
+    waiting.put_frame(frame(2), [CONTROL])
+    waiting.put_frame(frame(3), [])
+    waiting.put_frame(frame(4), [])
+    jobs = [await waiting.next() for _ in range(3)]
+    assert [job.frame and job.frame.seq for job in jobs] == [None, 2, 4]
+    assert waiting.take_dropped() == 2
+    assert waiting.take_dropped() == 0
+
+
+async def test_lossless_refuses_above_the_credit() -> None:
+    waiting = flow("lossless")
+    waiting.put_frame(frame(1), [])
+    waiting.put_frame(frame(2), [])
+    with pytest.raises(ProblemError, match="over-credit"):
+        waiting.put_frame(frame(3), [])
+    job = await waiting.next()
+    waiting.answered(job)
+    waiting.put_frame(frame(4), [])
+    assert [(await waiting.next()).frame.seq for _ in range(2)] == [2, 4]  # type: ignore[union-attr]
+
+
+async def test_controls_that_wait_are_bounded() -> None:
+    waiting = flow("latest")
+    for _ in range(64):
+        waiting.put_control(Control({}, None, on_next=True))
+    with pytest.raises(ProblemError, match="rate-limited"):
+        waiting.put_control(CONTROL)
+    taken = waiting.take_for_next()
+    assert len(taken) == 64
+    waiting.refused(taken)
+    waiting.put_control(CONTROL)
+
+
+async def test_whoever_waits_is_woken() -> None:
+    waiting = flow("latest")
+    task = asyncio.create_task(waiting.next())
+    await asyncio.sleep(0)
+    waiting.put_frame(frame(1), [])
+    assert (await asyncio.wait_for(task, 1)).frame is not None
+    waiting.put_frame(frame(2), [])
+    waiting.discard()
+    with pytest.raises(TimeoutError):
+        await asyncio.wait_for(waiting.next(), 0.01)
+
+
+def test_a_bucket_lets_a_burst_through_and_then_the_rate() -> None:
+    bucket = Bucket(10, now=0.0)
+    assert [bucket.take(0.0) for _ in range(10)] == [0.0] * 10
+    assert bucket.take(0.0) == pytest.approx(0.1)
+    assert bucket.take(0.1) == 0.0
+    assert bucket.take(0.1) > 0
+    assert [bucket.take(100.0) for _ in range(11)].count(0.0) == 10
+
+
+def test_memories_fade_and_are_bounded() -> None:
+    now = 0.0
+    memory: Memory[str] = Memory(2, 10, lambda: now)
+    memory.put("a", "A")
+    memory.put("b", "B", seconds=1)
+    now = 5.0
+    assert (memory.get("a"), memory.get("b")) == ("A", None)
+    memory.put("c", "C")
+    memory.put("d", "D")
+    assert (memory.get("a"), len(memory)) == (None, 2)
+    assert memory.pop("c") == "C"
+    assert memory.pop("c") is None
+    now = 20.0
+    memory.sweep()
+    assert len(memory) == 0
+
+
+def test_the_past_is_bounded_by_bytes() -> None:
+    past = Trajectory(4096)
+    for seq in range(1000):
+        past.append(Entry(seq, "ts", [640, 480], None, [ROW]))
+    assert 5 < len(past) < 40
+    entries = list(unpacked(past.after(-1)))
+    assert entries[-1] == Entry(999, "ts", [640, 480], None, [ROW])
+    assert [e.seq for e in unpacked(past.after(997))] == [998, 999]
+    past.amend([ROW, [1, *ROW[1:]]], [0, 0, 9, 9])
+    last = next(unpacked(past.after(998)))
+    assert (last.seq, last.ts, last.region, len(last.rows)) == (999, "ts", [0, 0, 9, 9], 2)
+
+
+@given(st.lists(st.tuples(st.integers(0, 2**32 - 1), st.binary(max_size=300)), max_size=8), st.data())
+def test_messages_survive_any_cutting(messages: list[tuple[int, bytes]], data: st.DataObject) -> None:
+    stream = b"".join(b"".join(framed(call, [payload])) for call, payload in messages)
+    splitter, heard = Splitter(), []
+    while stream:
+        n = data.draw(st.integers(1, len(stream)))
+        heard += list(splitter.feed(stream[:n]))
+        stream = stream[n:]
+    assert heard == messages
+
+
+def test_a_monstrous_length_is_refused() -> None:
+    with pytest.raises(Disorder):
+        list(Splitter().feed(b"\xff" * 8))
+
+
+@given(st.binary(max_size=2000))
+def test_a_call_carries_its_bytes(data: bytes) -> None:
+    payload = b"".join(encode_call("track", "key", {"seq": 7}, data))
+    assert decode_call(memoryview(payload)) == ("track", "key", {"seq": 7}, data)
+
+
+def test_cores_by_quota(tmp_path: object) -> None:
+    from pathlib import Path
+
+    root = Path(str(tmp_path))
+    (root / "cpu.max").write_text("150000 100000\n")
+    assert usable_cores(root) == 1
+    (root / "cpu.max").write_text("max 100000\n")
+    everything = usable_cores(root)
+    assert everything >= 1
+    (root / "cpu.max").unlink()
+    assert usable_cores(root) == everything
+    (root / "cpu").mkdir()
+    (root / "cpu" / "cpu.cfs_quota_us").write_text("-1\n")
+    (root / "cpu" / "cpu.cfs_period_us").write_text("100000\n")
+    assert usable_cores(root) == everything
+    (root / "cpu" / "cpu.cfs_quota_us").write_text("100000\n")
+    assert usable_cores(root) == 1

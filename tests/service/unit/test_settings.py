@@ -1,0 +1,119 @@
+"""Settings: named, bounded, refused by name; all of them in the help."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+from pydantic import ValidationError
+
+from mfcmt_core.cli import main
+from service.settings import Settings
+
+
+@pytest.fixture(autouse=True)
+def _bare(monkeypatch: pytest.MonkeyPatch) -> None:
+    import os
+
+    for name in list(os.environ):
+        if name.startswith("MFCMT_") and name != "MFCMT_CI":
+            monkeypatch.delenv(name)
+
+
+def test_defaults_suit_one_machine() -> None:
+    settings = Settings()
+    assert (settings.host, settings.port) == ("127.0.0.1", 8000)
+    assert settings.capacity == settings.lanes * settings.max_sessions_per_lane
+
+
+def test_variables_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MFCMT_LANES", "3")
+    monkeypatch.setenv("MFCMT_API_KEYS", "first-key-0000001, second-key-000002")
+    monkeypatch.setenv("MFCMT_ALLOWED_ORIGINS", "https://A.example,http://b.example:81")
+    settings = Settings()
+    assert settings.lanes == 3
+    assert [key.get_secret_value() for key in settings.api_keys] == ["first-key-0000001", "second-key-000002"]
+    assert settings.allowed_origins == ("https://a.example", "http://b.example:81")
+    assert "first-key" not in repr(settings)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("MFCMT_LANES", "0"),
+        ("MFCMT_LANES", "two"),
+        ("MFCMT_PORT", "70000"),
+        ("MFCMT_IDLE_TIMEOUT_S", "nan"),
+        ("MFCMT_IDLE_TIMEOUT_S", "-1"),
+        ("MFCMT_MAX_FRAME_BYTES", "1"),
+        ("MFCMT_MAX_FRAME_PIXELS", "1000000000"),
+        ("MFCMT_API_KEYS", "short"),
+        ("MFCMT_ALLOWED_ORIGINS", "app.example"),
+        ("MFCMT_PUBLIC_URL", "ftp://x"),
+        ("MFCMT_LOG_LEVEL", "loud"),
+    ],
+)
+def test_a_bad_setting_is_refused_by_its_name(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str, value: str
+) -> None:
+    monkeypatch.setenv(name, value)
+    assert main(["serve"]) == 2
+    told = capsys.readouterr().err
+    assert name in told
+    assert len(told.splitlines()) == 1
+
+
+def test_beyond_loopback_needs_keys_or_a_word(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ValidationError, match="MFCMT_ALLOW_UNAUTHENTICATED"):
+        Settings(host="0.0.0.0")
+    assert Settings(host="0.0.0.0", allow_unauthenticated=True).host == "0.0.0.0"
+    assert Settings(host="::1").on_loopback
+    monkeypatch.setenv("MFCMT_API_KEYS", "first-key-0000001")
+    assert Settings(host="0.0.0.0").api_keys
+
+
+def test_the_help_shows_every_setting(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["serve", "--help"])
+    told = capsys.readouterr().out
+    for name, field in Settings.model_fields.items():
+        assert f"MFCMT_{name.upper()}" in told
+        assert field.description
+        assert field.description in told
+
+
+def test_every_limit_says_its_unit() -> None:
+    units = ("_s", "_bytes", "_pixels", "_px", "_scans", "_frames", "_lane", "_session", "_keys", "_tickets")
+    plain = ("max_tombstones", "max_connections", "max_refused_messages")
+    for name in Settings.model_fields:
+        if name.startswith("max_") or name.endswith(("timeout", "deadline", "grace")):
+            assert name.endswith(units) or name in plain, name
+
+
+def test_the_front_imports_no_pixels() -> None:
+    """The whole application, and what `mfcmt serve` adds to it."""
+    code = (
+        "import sys, service.cli.serve, service.server, service.observability.logs; "
+        "from service.app import create_app; from service.settings import Settings; create_app(Settings()); "
+        "heavy = {'numpy', 'cv2', 'numba', 'scipy', 'simplejpeg', 'PIL'}; "
+        "print(sorted(m for m in sys.modules if m.split('.')[0] in heavy "
+        "or m.startswith('mfcmt_core') and m.split('.')[1:] not in ([], ['cli'], ['errors'])))"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "[]"
+
+
+def test_nothing_is_pickled() -> None:
+    """Not by us; multiprocessing itself pickles a lane's arguments when it starts one, and nothing later."""
+    from pathlib import Path
+
+    import service
+
+    sources = list(Path(service.__file__).parent.rglob("*.py"))
+    assert len(sources) > 50
+    for path in sources:
+        text = path.read_text()
+        for word in ("import pickle", "pickle.", "jsonpickle", "allow_pickle=True", "marshal.", "shelve", "eval("):
+            assert word not in text.replace("multiprocessing pickles", ""), path
+        assert ".recv()" not in text or "socket" in text, path
