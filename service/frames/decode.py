@@ -28,21 +28,13 @@ _TURN: dict[int, Callable[[Image], Any]] = {
 
 
 def decode(data: bytes, limits: FrameLimits) -> tuple[Image, FrameInfo]:
-    """The pixels of one encoded image and its header; see :func:`pixels`.
-
-    The limits are checked before any pixel. Raises :class:`FrameError` and nothing else.
-    """
-    info = inspect(data, limits)
-    return pixels(data, info), info
-
-
-def pixels(data: bytes, info: FrameInfo) -> Image:
-    """The pixels of an image whose header is ``info``, with its EXIF orientation applied.
+    """The pixels of one encoded image, with its EXIF orientation applied, and its header.
 
     The image is ``uint8``, C-contiguous: BGR of shape ``(H, W, 3)``, or ``(H, W)`` when it is stored grey.
-    16 bits are reduced to 8, alpha is dropped. Raises :class:`FrameError` and nothing else: a damaged JPEG
-    or PNG is refused even where a picture could be made.
+    16 bits are reduced to 8, alpha is dropped. Raises :class:`FrameError` and nothing else: header limits
+    are checked before any pixel, and a damaged JPEG or PNG is refused even where a picture could be made.
     """
+    info = inspect(data, limits)
     try:
         image = _READ[info.kind](data, info)
     except (ValueError, MemoryError, cv2.error) as refused:
@@ -51,7 +43,7 @@ def pixels(data: bytes, info: FrameInfo) -> Image:
         image = _TURN[info.orientation](image)
     if image.shape[:2] != (info.height, info.width):
         raise FrameError("frame-undecodable", f"the {info.kind} image is not of its header's size")
-    return image
+    return image, info
 
 
 def _jpeg(data: bytes, info: FrameInfo) -> Image:
