@@ -242,7 +242,7 @@ class MFCMT:
         for place in places:
             seen = target.observe(frame, within, place)
             found = self._detect(target, frame, seen)
-            if best is None or found.peaks.template > best[1].peaks.template:
+            if best is None or found.peaks.strength > best[1].peaks.strength:
                 best = seen, found
         assert best is not None
         if target.reliability.lost:  # a second look from there: the surroundings at their place, too
