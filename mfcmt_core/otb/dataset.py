@@ -126,7 +126,7 @@ class Dataset:
         names = list(names)
         if unknown := [n for n in names if n not in self.sequences]:
             raise DataError(f"{self.name} at {self.root} has no {', '.join(unknown)}")
-        return Dataset(self.name, {n: self.sequences[n] for n in names}, (), self.root)
+        return Dataset(f"part of {self.name}", {n: self.sequences[n] for n in names}, (), self.root)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from .protocol import Run
 from .score import Speed
 from .trackers import Entry, Tracker
 
-KEPT_BYTES = 768 * 2**20
+KEPT_BYTES = 256 * 2**20
 """Decoded frames that a process keeps for the next tracker on the same sequence."""
 
 TICK_FRAMES = 200

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import simplejpeg
 
-from .header import FrameError, FrameInfo, FrameLimits, inspect
+from .header import FrameError, FrameInfo, FrameLimits, Kind, inspect
 
 Image = npt.NDArray[np.uint8]
 
@@ -28,30 +28,37 @@ _TURN: dict[int, Callable[[Image], Any]] = {
 
 
 def decode(data: bytes, limits: FrameLimits) -> tuple[Image, FrameInfo]:
-    """The pixels of one encoded image, with its EXIF orientation applied, and its header.
+    """The pixels of one encoded image and its header; see :func:`pixels`.
 
-    The image is ``uint8``, C-contiguous: BGR of shape ``(H, W, 3)``, or ``(H, W)`` when it is stored grey.
-    16 bits are reduced to 8, alpha is dropped. Raises :class:`FrameError` and nothing else: header limits
-    are checked before any pixel, and a damaged JPEG or PNG is refused even where a picture could be made.
+    The limits are checked before any pixel. Raises :class:`FrameError` and nothing else.
     """
     info = inspect(data, limits)
+    return pixels(data, info), info
+
+
+def pixels(data: bytes, info: FrameInfo) -> Image:
+    """The pixels of an image whose header is ``info``, with its EXIF orientation applied.
+
+    The image is ``uint8``, C-contiguous: BGR of shape ``(H, W, 3)``, or ``(H, W)`` when it is stored grey.
+    16 bits are reduced to 8, alpha is dropped. Raises :class:`FrameError` and nothing else: a damaged JPEG
+    or PNG is refused even where a picture could be made.
+    """
     try:
-        if info.kind == "jpeg":
-            image = _cmyk(data) if info.cmyk else _jpeg(data, info.grey)
-        else:
-            image = _other(data, info)
+        image = _READ[info.kind](data, info)
     except (ValueError, MemoryError, cv2.error) as refused:
         raise FrameError("frame-undecodable", f"the {info.kind} image is damaged") from refused
     if info.orientation != 1:
         image = _TURN[info.orientation](image)
     if image.shape[:2] != (info.height, info.width):
         raise FrameError("frame-undecodable", f"the {info.kind} image is not of its header's size")
-    return image, info
+    return image
 
 
-def _jpeg(data: bytes, grey: bool) -> Image:
-    image: Image = simplejpeg.decode_jpeg(data, "GRAY" if grey else "BGR")
-    return image.reshape(image.shape[:2]) if grey else image
+def _jpeg(data: bytes, info: FrameInfo) -> Image:
+    if info.cmyk:
+        return _cmyk(data)
+    image: Image = simplejpeg.decode_jpeg(data, "GRAY" if info.grey else "BGR")
+    return image.reshape(image.shape[:2]) if info.grey else image
 
 
 def _cmyk(data: bytes) -> Image:
@@ -62,9 +69,13 @@ def _cmyk(data: bytes) -> Image:
     return cast(Image, image)
 
 
-def _other(data: bytes, info: FrameInfo) -> Image:
-    if info.kind == "png" and not _sound(data):
+def _png(data: bytes, info: FrameInfo) -> Image:
+    if not _sound(data):
         raise ValueError("checksum")
+    return _opencv(data, info)
+
+
+def _opencv(data: bytes, info: FrameInfo) -> Image:
     mode = cv2.IMREAD_GRAYSCALE if info.grey else cv2.IMREAD_COLOR
     image = cv2.imdecode(np.frombuffer(data, np.uint8), mode | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
@@ -82,3 +93,6 @@ def _sound(png: bytes) -> bool:
             return False
         at = end + 4
     return True
+
+
+_READ: dict[Kind, Callable[[bytes, FrameInfo], Image]] = {"jpeg": _jpeg, "png": _png, "webp": _opencv}

@@ -9,8 +9,8 @@ from typing import Any
 
 from mfcmt_core import MFCMT, MFCMTConfig, TrackResult
 
-from ..frames import FrameError, FrameLimits
-from ..frames.decode import decode
+from ..frames import FrameError, FrameLimits, inspect
+from ..frames.decode import decode, pixels
 from .rows import Rect, covers, from_row, map_images, to_row, union
 from .view import Refused, View
 
@@ -153,7 +153,8 @@ class HostedSession:
     def _view(self, data: bytes, region: list[int] | None) -> View:
         """The frame's pixels, once its header, its pixels and its region are found to be good."""
         try:
-            image, info = decode(data, self._options.limits)
+            info = inspect(data, self._options.limits)
+            image = pixels(data, info)
         except FrameError as bad:
             raise Refused(bad.code, bad.detail) from bad
         size = (info.width, info.height)
