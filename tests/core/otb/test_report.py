@@ -5,16 +5,17 @@ from __future__ import annotations
 import csv
 import itertools
 import json
+from collections.abc import Sequence as Seq
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mfcmt_core.otb import DataError, Dataset, Evaluation, ResultFolder, evaluate
+from mfcmt_core.otb import DataError, Dataset, Entry, Evaluation, ResultFolder, evaluate
 from mfcmt_core.otb.compare import compare
 from mfcmt_core.otb.document import Heading, Picture, Strong, Table, to_html, to_markdown
 from mfcmt_core.otb.report import write_report
-from mfcmt_core.otb.reproduce import claims_page
+from mfcmt_core.otb.reproduce import claims_page, reproduce
 from mfcmt_core.otb.tables import attributes, differences, per_sequence, published_figures, summary
 
 
@@ -130,6 +131,24 @@ def test_claims_are_judged_by_their_intervals(evaluations: list[Evaluation], otb
 
 def blocks(results: list[Evaluation], dataset: Dataset) -> list[Heading | Table]:
     return [b for b in claims_page(dataset, {"OPE": results}) if isinstance(b, Heading | Table)][:-1]
+
+
+def test_everything_is_reproduced(
+    tmp_path: Path, evaluations: list[Evaluation], otb2015: Dataset, published: Path
+) -> None:
+    asked: list[str] = []
+
+    def run(trackers: Seq[Entry | ResultFolder], protocol: str) -> list[Evaluation]:
+        asked.extend(t.name for t in trackers)
+        return [Evaluation(t.name, protocol, evaluations[i % 2].scores) for i, t in enumerate(trackers)]
+
+    (tmp_path / "results" / "OPE" / "dlib").mkdir(parents=True)
+    reproduce(tmp_path / "pages", otb2015, ["OPE"], tmp_path / "results", published, run)
+    assert len(asked) == len(set(asked))
+    wanted = {"default", "paper", "staple", "dat", "dlib", "MEEM", "paper-always-update", "default-clipped"}
+    assert wanted <= set(asked)
+    assert {p.name for p in (tmp_path / "pages").iterdir()} >= {"report.md", "report.html", "claims.md"}
+    assert "default-fixed-merge" in (tmp_path / "pages" / "claims.md").read_text()
 
 
 def test_the_same_scores_give_the_same_files(tmp_path: Path, evaluations: list[Evaluation], otb2015: Dataset) -> None:
