@@ -73,7 +73,7 @@ def create_app(
     app.router.routes.append(WebSocketRoute("/v1/sessions/{session_id}/stream", StreamEndpoint(service)))
     app.add_middleware(Surroundings, service=service)
     errors.install(app)
-    openapi.install(app, routers, authenticated=bool(settings.api_keys))
+    openapi.install(app, routers, settings)
     app.state.documents = docs.Documents.of(app)
     return app
 
