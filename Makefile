@@ -3,8 +3,12 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+PEERS := .venv-peers/.installed
+DATA ?= $(or $(MFCMT_OTB_ROOT),../shared/data/otb)
+PUBLISHED ?= $(wildcard $(dir $(DATA:/=))published)
+PROTOCOL ?= ope,tre,sre
 
-.PHONY: help setup warmup serve demo test lint lock bench bench-peers eval clean
+.PHONY: help setup warmup serve demo test lint lock bench bench-peers eval reproduce clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -38,18 +42,26 @@ lint: $(STAMP)  ## ruff and mypy
 bench: warmup  ## milliseconds a frame, stage by stage
 	$(BIN)/mfcmt bench
 
-bench-peers: $(STAMP)  ## OpenCV's and dlib's trackers on the same frames in the same run
+$(PEERS): .ci/peers.lock $(STAMP)
 	@sh .ci/venv "$(PYTHON)" .venv-peers
 	.venv-peers/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r .ci/peers.lock
 	.venv-peers/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+bench-peers: $(PEERS)  ## OpenCV's and dlib's trackers on the same frames in the same run
 	.venv-peers/bin/mfcmt warmup
 	.venv-peers/bin/mfcmt bench --peers
 
 eval: warmup  ## score the tracker on OTB
 	$(BIN)/mfcmt eval
 
+reproduce: warmup $(PEERS)  ## the paper's section IV on DATA=folder (PUBLISHED=boxes, PROTOCOL=ope): docs/evaluation
+	.venv-peers/bin/mfcmt eval --data "$(DATA)" --protocol $(PROTOCOL) --trackers opencv-csrt opencv-kcf opencv-mosse dlib
+	$(BIN)/mfcmt eval --data "$(DATA)" --protocol $(PROTOCOL) --reproduce docs/evaluation $(if $(PUBLISHED),--published "$(PUBLISHED)")
+
 lock:  ## refresh the lock files (needs uv)
 	uv pip compile pyproject.toml --all-extras --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q -U -o requirements.lock
+	uv pip compile .ci/peers.in --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q -U -o .ci/peers.lock
 
 clean:  ## remove what the targets made
 	rm -rf $(VENV) .venv-peers .mypy_cache .pytest_cache .ruff_cache .hypothesis results

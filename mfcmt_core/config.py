@@ -70,14 +70,14 @@ class MFCMTConfig:
     """γ_t: of the template peak over its ten-frame mean."""
     statistical_threshold: float = 0.5
     """γ_s: of the statistical peak over its ten-frame mean."""
-    usual_threshold: float = 0.0
-    """The template peak must also exceed this part of its slow mean over learned frames; 0 for no such test."""
+    usual_threshold: float = 0.25
+    """Template and statistical peak must also exceed this part of their slow means over learned frames; 0: no test."""
     usual_frames: int = 100
-    """Length of that slow mean."""
+    """Length of those slow means."""
     lost_after: int = 15
     """Frames in a row that fail before the target counts as lost; 0 for never."""
     found_threshold: float = 0.6
-    """A lost target is found again where the template peak exceeds this part of its slow mean."""
+    """A lost target is found again where both peaks exceed this part of their slow means."""
 
     # Scale (Algorithm 1, line 8; DSST)
     num_scales: int = 33
@@ -126,9 +126,9 @@ class MFCMTConfig:
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> MFCMTConfig:
         """The inverse of :meth:`to_dict`; missing fields take the default. Raises BadConfig."""
-        unknown = sorted(set(values) - {f.name for f in fields(cls)})
+        unknown = set(values) - {f.name for f in fields(cls)}
         if unknown:
-            raise BadConfig(f"no parameter is called {', '.join(map(repr, unknown))}")
+            raise BadConfig(f"no parameter is called {', '.join(sorted(map(repr, unknown)))}")
         try:
             return cls(**values)
         except TypeError as error:
@@ -162,11 +162,15 @@ class MFCMTConfig:
             raise BadConfig("without colour histogram, gray or fhog nothing is left to track a grey target by")
         if self.num_scales % 2 == 0:
             raise BadConfig(f"num_scales={self.num_scales} is not odd")
+        if self.scale_step ** (self.num_scales // 2) > MAX_ZOOM:
+            raise BadConfig(f"{self.num_scales} scales of step {self.scale_step} go beyond a factor of {MAX_ZOOM}")
         if self.color_name_table is not None and not isinstance(self.color_name_table, str):
             raise BadConfig(f"color_name_table={self.color_name_table!r} is not a file name")
 
 
 PRESETS = ("default", "paper")
+MAX_ZOOM = 8.0
+"""Largest scale of one search: its samples are cut from so many times the target's sides."""
 
 _CHOICES: dict[str, tuple[Any, ...]] = {
     "window": ("target", "context", "square"),

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from math import ceil, floor, isfinite, sqrt
+from operator import index
 from typing import TYPE_CHECKING
 
 import cv2
@@ -25,6 +26,8 @@ Image = npt.NDArray[np.uint8]
 Rect = tuple[int, int, int, int]
 """``(x, y, w, h)`` in whole pixels of the frame."""
 
+MAX_FRAME_SIDE = 1 << 20
+MIN_BOX_SIDE = 1e-3
 CELL = 4
 """Side of a cell in pixels of the patch (section IV-A)."""
 
@@ -32,12 +35,14 @@ CELL = 4
 def check_box(box: Iterable[float], frame_size: tuple[int, int]) -> Box:
     """The box as four floats. Raises BadBox unless finite, of positive size and a quarter inside the frame."""
     try:
+        if isinstance(box, str | bytes):
+            raise TypeError("text")
         x, y, w, h = (float(v) for v in box)
-    except (TypeError, ValueError) as error:
-        raise BadBox(f"a box is four numbers x, y, w, h, not {box!r}") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise BadBox(f"a box is four numbers x, y, w, h, not {box!r:.99}") from error
     if not all(map(isfinite, (x, y, w, h))):
         raise BadBox(f"not finite: {(x, y, w, h)}")
-    if not (w > 0 and h > 0):
+    if not min(w, h) >= MIN_BOX_SIDE:
         raise BadBox(f"no area: {(x, y, w, h)}")
     inside_w = min(x + w, frame_size[0]) - max(x, 0.0)
     inside_h = min(y + h, frame_size[1]) - max(y, 0.0)
@@ -65,8 +70,13 @@ class Frame:
         height, width = image.shape[:2]
         if height < 1 or width < 1:
             raise BadImage(f"an image without pixels: {image.shape}")
-        size = (width, height) if frame_size is None else (int(frame_size[0]), int(frame_size[1]))
-        x, y = int(offset[0]), int(offset[1])
+        try:
+            size = (width, height) if frame_size is None else (index(frame_size[0]), index(frame_size[1]))
+            x, y = index(offset[0]), index(offset[1])
+        except (TypeError, LookupError) as error:
+            raise BadImage(f"offset {offset!r} and frame_size {frame_size!r} are not pairs of integers") from error
+        if max(size) > MAX_FRAME_SIDE:
+            raise BadImage(f"a side of {max(size)} is more than {MAX_FRAME_SIDE}")
         if x < 0 or y < 0 or x + width > size[0] or y + height > size[1]:
             raise BadImage(f"a cut of {width}×{height} at {(x, y)} does not lie in a frame of {size}")
         return cls(image, (x, y), size)
@@ -86,7 +96,7 @@ class Frame:
         """``rect`` resized to ``out_size`` (w, h); beyond ``within`` its border pixels repeat.
 
         A large rectangle is thinned out first, so the cost follows the patch and not the rectangle; what
-        remains is resized by less than three, where bilinear interpolation averages enough.
+        remains is resized by less than four, where bilinear interpolation averages enough.
         """
         x, y, w, h = rect
         step_x, step_y = max(w // (2 * out_size[0]), 1), max(h // (2 * out_size[1]), 1)
@@ -106,12 +116,12 @@ class Frame:
 def _inside(start: int, length: int, step: int, low: int, extent: int) -> tuple[int, int, int, int]:
     """Of the samples start, start + step, … of ``length``: slice of those in the extent, counts outside."""
     count = length // step
-    before = min(max(-((start - low) // step), 0), count - 1) if start < low else 0
+    before = min(max(-((start - low) // step), 0), count)
     last_inside = (low + extent - 1 - start) // step
-    after = min(max(count - 1 - last_inside, 0), count - 1)
-    if before + after >= count:  # wholly outside: the nearest pixel repeats
+    after = min(max(count - 1 - last_inside, 0), count)
+    if before + after >= count:  # none inside: the nearest pixel repeats
         pixel = low if start < low else low + extent - 1
-        return pixel, pixel + 1, before, count - 1 - before
+        return pixel, pixel + 1, 0, count - 1
     first = start + before * step
     return first, start + (count - after - 1) * step + 1, before, after
 

@@ -64,7 +64,9 @@ class ScaleModel:
         """The factor by which the target's size differs from the one that ``spectra`` were taken at."""
         response_f = np.empty(len(self.denominator), np.complex64)
         respond_scales(spectra, self.numerator, self.denominator, self.regularization, response_f)
-        return float(self.factors[np.fft.irfft(response_f, self.count).argmax()])
+        response = np.fft.irfft(response_f, self.count)
+        best, same = response.argmax(), self.count // 2
+        return float(self.factors[best if response[best] > response[same] else same])
 
     def learn(self, spectra: Spectra, first: bool = False) -> None:
         """Move the filter towards the target, whose present size ``spectra`` were taken at."""
@@ -99,7 +101,9 @@ class ScaleModel:
             features,
         )
         spectra = scratch("scale_spectra", (len(features), self.dft.shape[1]))
-        np.dot(features, self.dft, out=spectra)
+        # cell by cell: products too small for a BLAS to bring its threads to, which cost more than they save
+        cells = (ny * nx, CHANNELS, -1)
+        np.matmul(features.reshape(cells), self.dft, out=spectra.reshape(cells))
         return spectra.view(np.complex64)
 
 

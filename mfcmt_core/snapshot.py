@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from .config import MFCMTConfig
 from .errors import BadConfig, BadSnapshot
+from .geometry import MAX_FRAME_SIDE, MIN_BOX_SIDE
 from .reliability import HISTORY
 
 if TYPE_CHECKING:
@@ -20,9 +21,10 @@ if TYPE_CHECKING:
 
 FORMAT = "mfcmt-tracker"
 VERSION = 1
+MAX_VALUE = 1e12
+"""Of any array: far above what images give, and responses to it stay inside float32."""
 MAX_BYTES = 16 << 20
 """A larger one is refused unread; the default preset's takes well below one megabyte."""
-MAX_SIDE = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +53,7 @@ def dump(config: MFCMTConfig, target: Target, frame_size: tuple[int, int]) -> by
         "scale": target.scale,
         "reliability": {
             "history": [list(peaks) for peaks in r.history],
-            "usual": r.usual,
+            "usual": list(r.usual),
             "learned": r.learned,
             "unreliable_run": r.unreliable_run,
             "lost": r.lost,
@@ -64,6 +66,8 @@ def dump(config: MFCMTConfig, target: Target, frame_size: tuple[int, int]) -> by
 
 def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
     """Check a snapshot as far as that is possible without building models. Raises BadSnapshot."""
+    if not isinstance(data, bytes | bytearray | memoryview):
+        raise BadSnapshot(f"{type(data).__name__} is not bytes")
     if len(data) > MAX_BYTES:
         raise BadSnapshot(f"{len(data)} bytes are more than {MAX_BYTES}")
     try:
@@ -76,18 +80,18 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
         raise BadSnapshot(f"version {document.get('version')!r} is not {VERSION}")
     try:
         config = MFCMTConfig.from_dict(document["config"])
-        width, height = (_integer(v, 1, MAX_SIDE) for v in document["frame_size"])
-        w, h = (_number(v, 1e-3, 8 * MAX_SIDE) for v in document["base_size"])
-        x, y = (_number(v, 0, MAX_SIDE) for v in document["center"])
+        width, height = (_integer(v, 1, MAX_FRAME_SIDE) for v in document["frame_size"])
+        w, h = (_number(v, MIN_BOX_SIDE, 4 * MAX_FRAME_SIDE) for v in document["base_size"])
+        x, y = (_number(v, 0, side) for v, side in zip(document["center"], (width, height), strict=True))
         r = document["reliability"]
         reliability = {
             "history": _history(r["history"]),
-            "usual": _number(r["usual"], -1e6, 1e6),
+            "usual": _pair(r["usual"], -1e6, 1e6),
             "learned": _integer(r["learned"], 0, 1 << 62),
             "unreliable_run": _integer(r["unreliable_run"], 0, 1 << 62),
             "lost": _boolean(r["lost"]),
         }
-        scale = _number(document["scale"], 1e-6, 1e6)
+        scale = _number(document["scale"], 1e-6, 1e10)
         state = State((w, h), _boolean(document["grey"]), (x, y), scale, reliability, dict(document["arrays"]))
     except (KeyError, TypeError, ValueError, BadConfig) as error:
         raise BadSnapshot(f"a field is missing or out of its range: {error}") from error
@@ -98,7 +102,7 @@ def restore(target: Target, state: State) -> None:
     """Fill a target built for ``state``'s sizes. Raises BadSnapshot where an array does not fit it."""
     expected = _arrays(target)
     if set(expected) != set(state.arrays):
-        raise BadSnapshot(f"arrays {sorted(state.arrays)} are not {sorted(expected)}")
+        raise BadSnapshot(f"the arrays are not {sorted(expected)}")
     for name, array in expected.items():
         _unpack(name, state.arrays[name], array)
     target.center, target.scale = state.center, state.scale
@@ -139,8 +143,9 @@ def _unpack(name: str, packed: Any, into: npt.NDArray[Any]) -> None:
     if not fits:
         raise BadSnapshot(f"array {name!r} is not {dtype.str} of shape {into.shape}")
     values = np.frombuffer(packed["data"], dtype).reshape(into.shape)
-    if not np.isfinite(values).all():
-        raise BadSnapshot(f"array {name!r} has values that are not finite")
+    lowest = 0 if into.dtype.kind == "f" else -np.inf  # histograms and energies
+    if not (np.abs(values) <= MAX_VALUE).all() or (values.real < lowest).any():
+        raise BadSnapshot(f"array {name!r} has values that no tracker has")
     into[...] = values
 
 
@@ -154,6 +159,11 @@ def _integer(value: Any, low: int, high: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise ValueError(f"{value!r} is not an integer in [{low}, {high}]")
     return value
+
+
+def _pair(value: Any, low: float, high: float) -> tuple[float, float]:
+    first, second = (_number(v, low, high) for v in value)
+    return first, second
 
 
 def _history(value: Any) -> deque[tuple[float, float, float]]:

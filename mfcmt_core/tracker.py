@@ -12,7 +12,7 @@ import numpy.typing as npt
 from . import snapshot
 from .color import Bins, ColorModel
 from .config import MFCMTConfig
-from .errors import BadImage, NotInitialised
+from .errors import BadConfig, BadImage, BadSnapshot, NotInitialised
 from .fusion import fuse
 from .geometry import Frame, Image, Patch, Rect, SearchWindow, check_box, clip_rect, grow_rect
 from .redetection import propose
@@ -58,7 +58,6 @@ class Target:
         patch = self.window.crop(frame, within, center, self.scale)
         pixels = _as_mode(patch.pixels, self.grey)
         return Observation(
-            center,
             self.window.rect(center, self.scale),
             patch,
             self.template.spectra(pixels) if self.template else np.empty(0, np.complex64),
@@ -101,7 +100,6 @@ class Observation:
     ``bins`` are empty where there is no such model; ``bins`` is scratch.
     """
 
-    place: Point
     rect: Rect
     patch: Patch
     spectra: Spectra
@@ -222,7 +220,10 @@ class MFCMT:
         """The tracker that :meth:`to_bytes` wrote; its every later result is bit-equal. Raises BadSnapshot."""
         config, state, frame_size = snapshot.parse(data)
         tracker = cls(config)
-        target = Target(config, state.base_size, state.grey)
+        try:
+            target = Target(config, state.base_size, state.grey)
+        except BadConfig as error:  # the colour-name table is a file
+            raise BadSnapshot(str(error)) from error
         snapshot.restore(target, state)
         tracker._target, tracker._frame_size = target, frame_size
         return tracker
@@ -241,11 +242,11 @@ class MFCMT:
         for place in places:
             seen = target.observe(frame, within, place)
             found = self._detect(target, frame, seen)
-            if best is None or found.peaks.template > best[1].peaks.template:
+            if best is None or found.peaks.strength > best[1].peaks.strength:
                 best = seen, found
         assert best is not None
-        if best[0] is not seen:  # bins and maps are scratch: they must be those of the place chosen
-            seen = target.observe(frame, within, best[0].place)
+        if target.reliability.lost:  # a second look from there: the surroundings at their place, too
+            seen = target.observe(frame, within, best[1].center)
             best = seen, self._detect(target, frame, seen)
         return best
 

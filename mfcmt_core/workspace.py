@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,14 @@ _local = threading.local()
 
 
 def scratch(name: str, shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> npt.NDArray[Any]:
-    """The array of that name and shape; its contents are whatever the last user left there."""
-    arrays: dict[tuple[str, tuple[int, ...]], npt.NDArray[Any]] = _local.__dict__.setdefault("arrays", {})
-    array = arrays.get((name, shape))
-    if array is None:
-        array = arrays[name, shape] = np.zeros(shape, dtype)
-    return array
+    """An array of that shape in the memory of that name; its contents are whatever the last user left there.
+
+    One buffer a name grows to the largest shape asked for, so that a process that has seen targets and frames
+    of a thousand shapes holds no more than one that saw the largest. A name has one dtype.
+    """
+    buffers: dict[str, npt.NDArray[Any]] = _local.__dict__.setdefault("buffers", {})
+    size = prod(shape)
+    buffer = buffers.get(name)
+    if buffer is None or buffer.size < size:
+        buffer = buffers[name] = np.zeros(size, dtype)
+    return buffer[:size].reshape(shape)

@@ -6,17 +6,27 @@ import argparse
 import os
 import shlex
 import sys
-import time
+from collections.abc import Sequence as Seq
+from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 
+import cv2
+
+from ..otb import film
 from ..otb.catalogue import resolve
-from ..otb.dataset import Dataset, open_otb
-from ..otb.document import to_markdown
-from ..otb.report import Results, summary, write_report
-from ..otb.runner import evaluate
+from ..otb.dataset import Dataset
+from ..otb.document import Picture, to_markdown
+from ..otb.errors import DataError
+from ..otb.layouts import LAYOUTS, open_dataset
+from ..otb.report import Results, write_report
+from ..otb.reproduce import reproduce
+from ..otb.runner import boxes_of, evaluate
 from ..otb.score import Evaluation
+from ..otb.tables import summary
 from ..otb.trackers import Entry, ResultFolder
 from . import UsageError
+from .progress import Progress
 
 SUBSETS = {"otb2015": "OTB-2015", "otb2013": "OTB-2013", "tb50": "TB-50"}
 
@@ -38,6 +48,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "a folder of result files; LABEL=TRACKER gives another name",
     )
     parser.add_argument("--protocol", default="ope", help="ope, tre, sre, apart by comma (default: ope)")
+    parser.add_argument("--layout", choices=["auto", *LAYOUTS], default="auto", help="how the folder is laid out")
     parser.add_argument("--set", choices=SUBSETS, default="otb2015", help="which targets (default: otb2015)")
     parser.add_argument("--sequences", metavar="NAMES", help="only these, apart by comma")
     parser.add_argument(
@@ -47,6 +58,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="folder of result files; finished work there is kept (default: results)",
     )
     parser.add_argument("--report", type=Path, metavar="FOLDER", help="write tables, plots, CSV and JSON there")
+    parser.add_argument("--film", metavar="NAMES", help="strips of these sequences for the report (OPE)")
+    parser.add_argument("--video", action="store_true", help="beside each strip the whole film as MP4")
+    parser.add_argument(
+        "--reproduce",
+        type=Path,
+        metavar="FOLDER",
+        help="section IV of the paper: presets, rivals, ablations and peers, as pages in the folder",
+    )
+    parser.add_argument("--published", type=Path, metavar="FOLDER", help="folders of published boxes for --reproduce")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes (default: one a CPU)")
 
 
@@ -55,20 +75,26 @@ def run(args: argparse.Namespace) -> int:
     protocols = [p.upper() for p in args.protocol.split(",")]
     if unknown := set(protocols) - {"OPE", "TRE", "SRE"}:
         raise UsageError(f"unknown protocol: {', '.join(sorted(unknown))}")
+    if (args.film or args.video) and not (args.film and args.report and "OPE" in protocols):
+        raise UsageError("--film names sequences, needs --report and OPE; --video needs --film")
     dataset = _dataset(args)
+    if args.reproduce is not None:
+        run = partial(_evaluate, args, dataset)
+        reproduce(args.reproduce, dataset, protocols, args.results, args.published, run)
+        print(args.reproduce / "claims.md")
+        return 0
     trackers = [resolve(text, args.results) for given in args.trackers for text in given.split(",") if text]
     lost = False
     results: Results = {}
     for protocol in protocols:
-        evaluations = evaluate(
-            dataset, trackers, protocol, results=args.results, jobs=args.jobs, progress=_progress(protocol)
-        )
-        results[protocol] = evaluations
+        results[protocol] = evaluations = _evaluate(args, dataset, trackers, protocol)
         title = f"{dataset.name} {protocol}, {dataset.coverage} targets"
         print(to_markdown([title, summary(evaluations, dataset)]))
         lost |= _complain(trackers, evaluations)
     if args.report is not None:
-        write_report(args.report, dataset, results, command=shlex.join(["mfcmt", *sys.argv[1:]]))
+        films = _films(args, dataset, trackers)
+        command = shlex.join(["mfcmt", *sys.argv[1:]])
+        write_report(args.report, dataset, results, command=command, films=films)
         print(args.report / "report.html")
     return int(lost)
 
@@ -76,12 +102,34 @@ def run(args: argparse.Namespace) -> int:
 def _dataset(args: argparse.Namespace) -> Dataset:
     if not args.data.is_dir():
         raise UsageError(f"no data at {args.data}: name the folder of sequences with --data")
-    dataset = open_otb(args.data, SUBSETS[args.set])
+    dataset = open_dataset(args.data, args.layout, SUBSETS[args.set])
     if args.sequences:
         return dataset.select(args.sequences.split(","))
     if dataset.missing:
         print(f"{dataset.coverage} targets; not here: {', '.join(dataset.missing)}", file=sys.stderr)
     return dataset
+
+
+def _evaluate(
+    args: argparse.Namespace, dataset: Dataset, trackers: Seq[Entry | ResultFolder], protocol: str
+) -> list[Evaluation]:
+    with _Bar(protocol) as bar:
+        return evaluate(dataset, trackers, protocol, results=args.results, jobs=args.jobs, progress=bar)
+
+
+def _films(args: argparse.Namespace, dataset: Dataset, trackers: list[Entry | ResultFolder]) -> list[Picture]:
+    films = []
+    for sequence in dataset.select(args.film.split(",")) if args.film else ():
+        boxes = {}
+        for tracker in trackers:
+            with suppress(DataError):  # a missing result is in the report already
+                boxes[tracker.name] = boxes_of(tracker, sequence, args.results)
+        data = cv2.imencode(".jpg", film.strip(sequence, boxes))[1].tobytes()
+        films.append(Picture(f"film_{sequence.name}", f"{sequence.name}: {', '.join(boxes)}", data, "jpg"))
+        if args.video:
+            args.report.mkdir(parents=True, exist_ok=True)
+            film.video(args.report / f"film_{sequence.name}.mp4", sequence, boxes)
+    return films
 
 
 def _complain(trackers: list[Entry | ResultFolder], evaluations: list[Evaluation]) -> bool:
@@ -95,26 +143,16 @@ def _complain(trackers: list[Entry | ResultFolder], evaluations: list[Evaluation
     return any(e.missing and e.tracker in ran for e in evaluations)
 
 
-class _progress:  # noqa: N801
-    """A line on the terminal, rewritten at most five times a second."""
+class _Bar(ExitStack):
+    """A progress bar whose total is known when the first steps are done."""
 
     def __init__(self, label: str) -> None:
+        super().__init__()
         self._label = label
-        self._begun = time.monotonic()
-        self._shown = 0.0
+        self._done = 0
+        self._bar: Progress | None = None
 
     def __call__(self, done: int, total: int) -> None:
-        now = time.monotonic()
-        if not sys.stderr.isatty() or (now - self._shown < 0.2 and done < total):
-            return
-        self._shown = now
-        left = (now - self._begun) * (total - done) / max(done, 1)
-        filled = 30 * done // max(total, 1)
-        bar = "#" * filled + "." * (30 - filled)
-        end = "\n" if done >= total else ""
-        print(
-            f"\r{self._label} [{bar}] {done}/{total} {left:4.0f} s left ",
-            end=end,
-            file=sys.stderr,
-            flush=True,
-        )
+        self._bar = self._bar or self.enter_context(Progress(total))
+        self._bar.step(self._label, done - self._done)
+        self._done = done

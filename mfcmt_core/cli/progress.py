@@ -20,9 +20,9 @@ class Progress:
     def __enter__(self) -> Self:
         return self
 
-    def step(self, note: str = "") -> None:
-        """One more is done; redraws at most ten times a second."""
-        self._done += 1
+    def step(self, note: str = "", count: int = 1) -> None:
+        """``count`` more are done; redraws at most ten times a second."""
+        self._done += count
         self._note = note
         if self._shown and time.monotonic() - self._drawn > 0.1:
             self._draw()

@@ -50,8 +50,8 @@ class FeatureStack:
     def extract(self, patch: Image) -> npt.NDArray[np.float32]:
         """Windowed features (channels, cells, cells) of ``patch`` (H, W[, 3]); scratch, valid until the next call."""
         n, side = self.cells, self.cells * CELL
-        margin = (patch.shape[0] - side) // 2  # 150 px hold 37 cells: the odd pixel is left out on each side
-        if margin:
+        if len(patch) != side:  # 150 px hold 37 cells: what is left over is left out
+            margin = (len(patch) - side) // 2
             patch = np.ascontiguousarray(patch[margin : margin + side, margin : margin + side])
         out = scratch("features", (self.channels, n, n))
         gray = patch if patch.ndim == 2 else cv2.cvtColor(patch, cv2.COLOR_BGR2GRAY)

@@ -19,6 +19,7 @@ from ..errors import BadConfig
 
 NAMES = ("red", "orange", "brown", "yellow", "green", "blue", "purple", "pink", "black", "grey", "white")
 LEVELS = 32  # of each of R, G, B
+MAX_VALUE = 1e6  # of a table from a file, so that spectra stay well inside float32
 
 _BANDS = (0.0, 31.0, 42.0, 51.0, 66.0, 76.0, 101.0)  # of L*
 # one row a band: centre a*, b*; slope, semi-axes and angle of the achromatic ellipse
@@ -132,6 +133,22 @@ def _bin_centers() -> npt.NDArray[np.float64]:
     return np.stack([r, g, b], axis=-1).reshape(-1, 3)
 
 
+def _read(file: str) -> npt.NDArray[np.float64]:
+    """The table in a ``.npy`` file, not yet of zero mean. Raises BadConfig."""
+    if not Path(file).is_file():
+        raise BadConfig(f"color_name_table {file!r} is not a file")
+    try:
+        stored = np.lib.format.open_memmap(file, mode="r")  # reads no more than the header of what does not fit
+    except (OSError, ValueError) as error:
+        raise BadConfig(f"color_name_table {file!r} cannot be read: {error}") from error
+    if stored.ndim != 2 or len(stored) != LEVELS**3 or not 1 <= stored.shape[1] <= 16 or stored.dtype.kind not in "fiu":
+        raise BadConfig(f"color_name_table {file!r} is {stored.dtype} of shape {stored.shape}, not (32768, 1..16)")
+    values = np.array(stored, np.float64)
+    if not (np.abs(values) <= MAX_VALUE).all():
+        raise BadConfig(f"color_name_table {file!r} has values that are not finite or beyond {MAX_VALUE}")
+    return values
+
+
 @lru_cache(maxsize=4)
 def table(file: str | None = None) -> npt.NDArray[np.float32]:
     """Colour-name features of the 32×32×32 RGB bins: (32768, L) float32, zero mean a column, read-only.
@@ -148,14 +165,7 @@ def table(file: str | None = None) -> npt.NDArray[np.float32]:
         helmert = np.tril(np.ones((n - 1, n)), 0) - np.diag(np.arange(1, n), 1)[: n - 1]
         values = values @ (helmert / np.linalg.norm(helmert, axis=1, keepdims=True)).T
     else:
-        try:
-            values = np.load(Path(file), allow_pickle=False).astype(np.float64)
-        except (OSError, ValueError) as error:
-            raise BadConfig(f"color_name_table {file!r} cannot be read: {error}") from error
-        if values.ndim != 2 or len(values) != LEVELS**3 or not 1 <= values.shape[1] <= 16:
-            raise BadConfig(f"color_name_table {file!r} has shape {values.shape}, not (32768, 1..16)")
-        if not np.isfinite(values).all():
-            raise BadConfig(f"color_name_table {file!r} has values that are not finite")
+        values = _read(file)
         values -= values.mean(0)
     result = np.ascontiguousarray(values, dtype=np.float32)
     result.flags.writeable = False

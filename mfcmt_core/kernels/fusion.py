@@ -56,7 +56,7 @@ def find_peak(fused, leave_out):  # type: ignore[no-untyped-def]
     ``leave_out`` from the peak in row or column; 0 where none are left or they are all alike.
     """
     rows, columns = fused.shape
-    pi, pj = 0, 0
+    pi, pj = rows // 2, columns // 2  # where a flat map leaves the target
     for i in range(rows):
         for j in range(columns):
             if fused[i, j] > fused[pi, pj]:

@@ -1,6 +1,6 @@
 """Evaluation on OTB and its relatives: data sets, OPE / TRE / SRE, scores, result files and reports.
 
-data = open_otb(Path("otb"))
+data = open_dataset(Path("otb"))
 default, = evaluate(data, [Engine("default", MFCMTConfig.default())], "OPE", results=Path("results"))
 print(default.success, default.precision, default.fps)
 print(score(data, {"David": boxes}).success)      # boxes of your own, (N, 4), 0-based
@@ -8,6 +8,7 @@ print(score(data, {"David": boxes}).success)      # boxes of your own, (N, 4), 0
 
 from .dataset import ATTRIBUTES, Dataset, Sequence, open_otb, otb_targets, read_boxes
 from .errors import DataError
+from .layouts import open_dataset
 from .protocol import PROTOCOLS, Run, ope, sre, tre
 from .results import ResultStore, read_result, write_boxes
 from .runner import evaluate
@@ -32,6 +33,7 @@ __all__ = [
     "code_hash",
     "evaluate",
     "ope",
+    "open_dataset",
     "open_otb",
     "otb_targets",
     "read_boxes",

@@ -22,7 +22,7 @@ ALWAYS_UPDATE: dict[str, Any] = {
     "lost_after": 0,
 }
 FIXED_MERGE: dict[str, Any] = {"probability": "raw", "sharpness": 1, "statistical_weight": 0.3 / 0.7}
-"""Staple's: 0.7 template + 0.3 histogram, of the responses as they are."""
+"""Staple's: 0.7 template + 0.3 histogram, of the responses as they are. For one template map."""
 
 ABLATIONS: dict[str, dict[str, Any]] = {
     "gray": {"features": ("gray",), "color_histogram": False},
@@ -37,6 +37,19 @@ ABLATIONS: dict[str, dict[str, Any]] = {
 }
 """``<preset>-<ablation>``: a preset with one thing taken away or one thing left. Colour names keep the raw
 pixels, since grey sequences have nothing else."""
+
+CHOICES: dict[str, dict[str, Any]] = {
+    "target-window": {"window": "target", "search_area_scale": 2.0},
+    "patch-150": {"patch_size": 150},
+    "separate-filters": {"joint_filter": False, "statistical_weight": 4.5},
+    "average-filter": {"average": "filter"},
+    "rate-0.02": {"template_learning_rate": 0.02},
+    "clipped": {"probability": "clip"},
+    "equal-weights": {"statistical_weight": 1.0},
+    "raw-fhog": {"hog_epsilon": 1e-4},
+    "never-lost": {"lost_after": 0},
+}
+"""``default-<choice>``: a choice in which default() differs from paper(), taken back alone."""
 
 _TEMPLATE_ONLY: dict[str, Any] = {
     **ALWAYS_UPDATE,
@@ -139,14 +152,18 @@ SYSTEMS["dcf"] = SYSTEMS["kcf"]
 
 
 def named_config(name: str) -> MFCMTConfig | None:
-    """The configuration of a preset, of ``<preset>-<ablation>`` or of a system; None for another name."""
+    """The configuration of a preset, of a preset with a change, or of a system; None for another name."""
     if name in PRESETS:
         return MFCMTConfig.preset(name)
     if name in SYSTEMS:
         return MFCMTConfig.default().replace(**SYSTEMS[name])
     preset, _, ablation = name.partition("-")
-    if preset in PRESETS and ablation in ABLATIONS:
-        return MFCMTConfig.preset(preset).replace(**ABLATIONS[ablation])
+    changes = ABLATIONS.get(ablation) or CHOICES.get(ablation)
+    if preset in PRESETS and changes:
+        config = MFCMTConfig.preset(preset).replace(**changes)
+        if ablation == "fixed-merge" and not config.joint_filter:  # several template maps share the 0.7
+            config = config.replace(statistical_weight=config.statistical_weight * len(config.features))
+        return config
     return None
 
 
@@ -182,9 +199,11 @@ def read_config(path: Path) -> MFCMTConfig:
     """
     try:
         text = path.read_text(encoding="utf-8")
-        given: dict[str, Any] = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+        given: Any = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
     except (OSError, ValueError) as failed:
         raise DataError(f"{path}: {failed}") from None
+    if not isinstance(given, dict):
+        raise DataError(f"{path}: not fields with values")
     base = named_config(str(given.pop("base", "default")))
     if base is None:
         raise DataError(f"{path}: base is not a name of a configuration")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterable, Iterator
-from collections.abc import Sequence as Seq
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import resources
@@ -22,6 +21,9 @@ Image = npt.NDArray[np.uint8]
 
 ONE_BASED: Array = np.array([1.0, 1.0, 0.0, 0.0])
 """What a box of a file (MATLAB's pixels, 1-based) has more than one of ours."""
+
+NO_AREA: Array = np.array([-np.inf, -np.inf, 0.0, 0.0])
+"""A box needs more than this to be one."""
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".webp"})
 ATTRIBUTES = {
@@ -59,6 +61,17 @@ class Sequence:
     sets: frozenset[str] = frozenset()
     attributes: tuple[str, ...] = ()
     skip_invalid: bool = False
+
+    @classmethod
+    def of(cls, name: str, frames: Iterable[Path], boxes: Array, first: int = 1) -> Sequence:
+        """A sequence from 0-based boxes ``(N, 4)``; frames where these have no area or NaN are not scored.
+
+        Raises DataError where none has a box.
+        """
+        valid: Mask = np.all(np.isfinite(boxes) & (boxes > NO_AREA), axis=1)
+        if not valid.any():
+            raise DataError(f"{name}: no frame has a valid annotation")
+        return cls(name, tuple(frames), boxes, valid, valid, first, skip_invalid=True)
 
     def __len__(self) -> int:
         return len(self.boxes)
@@ -113,7 +126,7 @@ class Dataset:
         names = list(names)
         if unknown := [n for n in names if n not in self.sequences]:
             raise DataError(f"{self.name} at {self.root} has no {', '.join(unknown)}")
-        return Dataset(self.name, {n: self.sequences[n] for n in names}, (), self.root)
+        return Dataset(f"part of {self.name}", {n: self.sequences[n] for n in names}, (), self.root)
 
 
 @dataclass(frozen=True)
@@ -150,40 +163,39 @@ def open_otb(root: Path, subset: str = "OTB-2015") -> Dataset:
 
     Raises DataError where a sequence is there and cannot be used.
     """
+    places = locate_otb(root, subset)
+    found = {target.name: _open_target(target, place) for target, place in places.items() if place}
+    if not found:
+        raise DataError(f"{root}: none of the {len(places)} targets of {subset} is here")
+    return Dataset(subset, found, tuple(t.name for t, place in places.items() if not place), root)
+
+
+def locate_otb(root: Path, subset: str = "OTB-2015") -> dict[Target, Path | None]:
+    """The folder or the annotation file of each target, in any of the spellings of doubled ones."""
     if not root.is_dir():
         raise DataError(f"{root}: no such folder")
     entries = {entry.name.lower(): entry for entry in sorted(root.iterdir())}
-    found, missing = {}, []
+    places: dict[Target, Path | None] = {}
     for target in otb_targets(subset):
-        sequence = _open_target(target, entries)
-        if sequence is None:
-            missing.append(target.name)
-        else:
-            found[target.name] = sequence
-    if not found:
-        raise DataError(f"{root}: none of the {len(missing)} sequences of {subset} is here")
-    return Dataset(subset, found, tuple(missing), root)
+        base, dash, number = target.name.lower().partition("-")
+        spellings = [
+            base + dash + number,
+            *([f"{base}.{number}", f"{base}_{number}", base + number, base] if dash else []),
+        ]
+        names = [name for spelling in spellings for name in (spelling, f"{spelling}.txt")]
+        places[target] = next((entries[name] for name in names if name in entries), None)
+    return places
 
 
-def _open_target(target: Target, entries: dict[str, Path]) -> Sequence | None:
-    base, _, number = target.name.lower().partition("-")
-    spellings = [target.name.lower()] + (
-        [f"{base}.{number}", f"{base}_{number}", base + number, base] if number else []
-    )
-    for spelling in spellings:
-        folder = entries.get(spelling)
-        if folder is not None and folder.is_dir():
-            if not (folder / "img").is_dir() and (folder / folder.name / "img").is_dir():
-                folder = folder / folder.name  # some archives nest the folder in one of its own name
-            truth = _truth_file(folder, number)
-            frames = numbered_images(folder / "img", target.first, target.last)
-            break
-        annotation = entries.get(spelling + ".txt")
-        if annotation is not None:
-            truth, frames = annotation, ()
-            break
+def _open_target(target: Target, place: Path) -> Sequence:
+    frames: tuple[Path, ...] = ()
+    if place.is_dir():
+        if not (place / "img").is_dir() and (place / place.name / "img").is_dir():
+            place = place / place.name  # some archives nest the folder in one of its own name
+        truth = _truth_file(place, target.name.partition("-")[2])
+        frames = numbered_images(place / "img", target.first, target.last)
     else:
-        return None
+        truth = place
     lines = read_boxes(truth)
     if len(lines) >= target.last:  # one line a frame from number 1 on
         lines = lines[target.first - 1 : target.last]
@@ -193,33 +205,12 @@ def _open_target(target: Target, entries: dict[str, Path]) -> Sequence | None:
     omitted = np.zeros(len(lines), bool)
     for begin, end in target.omit:
         omitted |= (numbers >= begin) & (numbers <= end)
-    return annotated(
-        target.name,
-        frames,
-        lines,
-        startable=~omitted,
-        first=target.first,
-        sets=target.sets,
-        attributes=target.attributes,
-    )
-
-
-def annotated(
-    name: str,
-    frames: Seq[Path],
-    lines: Array,
-    *,
-    startable: Mask | None = None,
-    first: int = 1,
-    sets: frozenset[str] = frozenset(),
-    attributes: tuple[str, ...] = (),
-) -> Sequence:
-    """A sequence from 1-based boxes; as in the toolkit an annotation needs all four numbers above zero."""
-    valid = np.all(lines > 0, axis=1)
+    valid = np.all(lines > 0, axis=1)  # the toolkit's rule: all four numbers, 1-based, above zero
     if not valid.any():
-        raise DataError(f"{name}: no frame has a valid annotation")
-    startable = valid if startable is None else startable & valid
-    return Sequence(name, tuple(frames), lines - ONE_BASED, valid, startable, first, sets, attributes)
+        raise DataError(f"{truth}: no frame has a valid annotation")
+    return Sequence(
+        target.name, frames, lines - ONE_BASED, valid, valid & ~omitted, target.first, target.sets, target.attributes
+    )
 
 
 def _truth_file(folder: Path, number: str) -> Path:

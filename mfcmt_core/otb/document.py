@@ -8,6 +8,11 @@ from collections.abc import Iterable
 from collections.abc import Sequence as Seq
 from dataclasses import dataclass
 
+PALETTE = ("#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#e377c2", "#8c564b", "#7f7f7f")
+"""Colours of the trackers, in plots and films."""
+
+MEDIA_TYPES = {"svg": "image/svg+xml", "jpg": "image/jpeg"}
+
 
 class Strong(str):
     """A cell to stand out."""
@@ -31,18 +36,24 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure; ``name`` is its file's, without suffix."""
+    """A figure; ``suffix`` is ``svg`` or ``jpg``."""
 
     name: str
     title: str
-    svg: str
+    data: bytes
+    suffix: str = "svg"
+
+    @property
+    def file(self) -> str:
+        """Name of its file."""
+        return f"{self.name}.{self.suffix}"
 
 
 Block = Heading | Table | Picture | str
 
 
 def to_markdown(blocks: Iterable[Block]) -> str:
-    """Markdown; pictures are linked as ``<name>.svg``."""
+    """Markdown; pictures are linked by their file names."""
     return "\n\n".join(_markdown(b) for b in blocks) + "\n"
 
 
@@ -59,7 +70,7 @@ def _markdown(block: Block) -> str:
             lines = [block.header, ["---"] * len(block.header), *block.rows]
             return "\n".join("| " + " | ".join(map(_cell, line)) + " |" for line in lines)
         case Picture():
-            return f"![{block.title}]({block.name}.svg)"
+            return f"![{block.title}]({block.file})"
         case _:
             return block
 
@@ -78,8 +89,8 @@ def _html(block: Block) -> str:
             body = "\n".join("<tr>" + "".join(map(_html_cell, row)) + "</tr>" for row in block.rows)
             return f"<div><table><thead><tr>{head}</tr></thead><tbody>\n{body}\n</tbody></table></div>"
         case Picture():
-            data = base64.b64encode(block.svg.encode()).decode()
-            return f'<img alt="{html.escape(block.title)}" src="data:image/svg+xml;base64,{data}">'
+            source = f"data:{MEDIA_TYPES[block.suffix]};base64,{base64.b64encode(block.data).decode()}"
+            return f'<img alt="{html.escape(block.title)}" src="{source}">'
         case _:
             return f"<p>{html.escape(block)}</p>"
 

@@ -26,6 +26,7 @@ class OpenCVTracker:
     def __init__(self, create: Callable[[], Any]) -> None:
         self._tracker = create()
         self._box: Box = (0.0, 0.0, 0.0, 0.0)
+        self.found = True
 
     def init(self, image: Image, box: Iterable[float]) -> None:
         """Start on the box; OpenCV takes whole pixels only."""
@@ -35,8 +36,8 @@ class OpenCVTracker:
 
     def update(self, image: Image) -> Box:
         """The box in the next frame."""
-        found, (x, y, w, h) = self._tracker.update(image)
-        if found:
+        self.found, (x, y, w, h) = self._tracker.update(image)
+        if self.found:
             self._box = (float(x), float(y), float(w), float(h))
         return self._box
 

@@ -12,13 +12,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from .dataset import ATTRIBUTES, Dataset
+from .document import PALETTE
 from .metrics import NORM_PRECISION_THRESHOLDS, PRECISION_THRESHOLDS, SUCCESS_THRESHOLDS, Array
 from .score import Evaluation
 
 TOP = 10
 """Trackers in a plot; the tables have all."""
 
-COLORS = ("#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#e377c2", "#8c564b", "#7f7f7f")
 DASHES = ("-", "--", "-.")
 
 
@@ -80,7 +80,8 @@ def attribute_plots(kind: Kind, evaluations: Seq[Evaluation], dataset: Dataset, 
 
 def _styles(evaluations: Seq[Evaluation]) -> dict[str, tuple[str, str]]:
     return {
-        e.tracker: (COLORS[i % len(COLORS)], DASHES[i // len(COLORS) % len(DASHES)]) for i, e in enumerate(evaluations)
+        e.tracker: (PALETTE[i % len(PALETTE)], DASHES[i // len(PALETTE) % len(DASHES)])
+        for i, e in enumerate(evaluations)
     }
 
 

@@ -22,7 +22,7 @@ from .protocol import Run
 from .score import Speed
 from .trackers import Entry, Tracker
 
-KEPT_BYTES = 768 * 2**20
+KEPT_BYTES = 256 * 2**20
 """Decoded frames that a process keeps for the next tracker on the same sequence."""
 
 TICK_FRAMES = 200
@@ -82,6 +82,7 @@ class _Runner:
         sequence = job.sequence
         boxes = {run.key: np.full((len(sequence) - run.start, 4), np.nan) for run in job.runs}
         seconds = {key: np.zeros(len(rows)) for key, rows in boxes.items()}
+        cpu_seconds = dict.fromkeys(boxes, 0.0)
         trackers: dict[str, Tracker] = {}
         unticked = 0
         index = 0
@@ -92,18 +93,18 @@ class _Runner:
                     step = index - run.start
                     if step < 0:
                         continue
+                    if step == 0 and not trackers:
+                        self._warm_up(job, image, run)
+                    begun, cpu_begun = time.perf_counter(), time.process_time()
                     if step == 0:
-                        if not trackers:
-                            self._warm_up(job, image, run)
                         trackers[run.key] = job.entry.make()
-                        begun = time.perf_counter()
                         trackers[run.key].init(image, run.box)
                         box = run.box
                     else:
-                        begun = time.perf_counter()
                         result = trackers[run.key].update(image)
                         box = getattr(result, "box", result)
                     seconds[run.key][step] = time.perf_counter() - begun
+                    cpu_seconds[run.key] += time.process_time() - cpu_begun
                     boxes[run.key][step] = box
                     unticked += 1
                 if unticked >= TICK_FRAMES:
@@ -113,7 +114,8 @@ class _Runner:
             return Outcome(error=f"{sequence.name}, frame {sequence.first + index}: {type(failed).__name__}: {failed}")
         self._tick(unticked)
         speeds = {
-            key: Speed(len(t), float(t.sum()), float(np.mean(1.0 / np.maximum(t, 1e-9)))) for key, t in seconds.items()
+            key: Speed(len(t), float(t.sum()), float(np.mean(1.0 / np.maximum(t, 1e-9))), cpu_seconds[key])
+            for key, t in seconds.items()
         }
         return Outcome(boxes, speeds)
 
@@ -144,7 +146,7 @@ class _Worker:
         context = get_context("spawn")
         self.pipe, far_end = context.Pipe()
         self.process = context.Process(target=_serve, args=(far_end,), daemon=True)
-        with _one_thread_environment():
+        with _one_thread_environment(), _no_interrupt():
             self.process.start()
         far_end.close()
         self.job: Job | None = None
@@ -194,7 +196,7 @@ def _in_processes(queue: deque[Job], workers: int, tick: Tick) -> Iterator[tuple
 
 
 def _serve(pipe: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which stops us
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
     runner = _Runner(pipe.send)
     while True:
@@ -212,6 +214,19 @@ def _one_thread() -> Iterator[None]:
         yield
     finally:
         cv2.setNumThreads(before)
+
+
+@contextmanager
+def _no_interrupt() -> Iterator[None]:
+    """What starts in here does not hear Ctrl-C: that is for the parent, which stops it."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

@@ -41,7 +41,8 @@ class Record:
         if not frames:
             return None
         rate = sum(run["mean_rate"] * run["frames"] for run in self.runs.values()) / frames
-        return Speed(frames, sum(run["seconds"] for run in self.runs.values()), rate)
+        cpu_seconds = sum(run.get("cpu_seconds", 0.0) for run in self.runs.values())
+        return Speed(frames, sum(run["seconds"] for run in self.runs.values()), rate, cpu_seconds)
 
 
 def read_record(path: Path) -> Record | None:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from .dataset import Dataset, Sequence
 from .errors import DataError
+from .metrics import Array
 from .pool import plan, run_jobs
 from .protocol import PROTOCOLS, Run
 from .results import Record, ResultStore, read_result
@@ -45,11 +46,14 @@ def evaluate(
         store = ResultStore(root)
         entries = [t for t in trackers if not isinstance(t, ResultFolder)]
         _run(dataset, entries, protocol, runs, store, jobs or os.cpu_count() or 1, progress)
-        folders = [
-            t.under(protocol) if isinstance(t, ResultFolder) else ResultFolder(t.name, store.folder(protocol, t.name))
-            for t in trackers
-        ]
-        return [_scored(dataset, folder, protocol, runs) for folder in folders]
+        return [_scored(dataset, result_folder(t, protocol, root), protocol, runs) for t in trackers]
+
+
+def result_folder(tracker: Entry | ResultFolder, protocol: str, results: Path) -> ResultFolder:
+    """Where the files of a tracker are."""
+    if isinstance(tracker, ResultFolder):
+        return tracker.under(protocol)
+    return ResultFolder(tracker.name, ResultStore(results).folder(protocol, tracker.name))
 
 
 def _run(
@@ -118,3 +122,10 @@ def _scored(dataset: Dataset, folder: ResultFolder, protocol: str, runs: dict[st
         except DataError as absent:
             evaluation.missing[sequence.name] = str(absent)
     return evaluation
+
+
+def boxes_of(tracker: Entry | ResultFolder, sequence: Sequence, results: Path) -> Array:
+    """The boxes of a finished OPE run, ``(N, 4)``, 0-based. Raises DataError where there are none."""
+    run = PROTOCOLS["OPE"](sequence)[0]
+    path = result_folder(tracker, "OPE", results).find(sequence.name, run.key)
+    return read_result(path, sequence, run.start)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import metrics
-from .dataset import ONE_BASED, Dataset, Sequence
+from .dataset import NO_AREA, ONE_BASED, Dataset, Sequence
 from .errors import DataError
 from .metrics import Array, Mask
 from .protocol import PROTOCOLS, Run, to_original_size
@@ -17,11 +17,15 @@ from .protocol import PROTOCOLS, Run, to_original_size
 
 @dataclass(frozen=True)
 class Speed:
-    """How long a tracker took: ``frames`` in ``seconds``; the mean of the frames' rates in Hz."""
+    """How long a tracker took: ``frames`` in ``seconds`` of wall and of CPU time (None where unknown).
+
+    ``mean_rate`` is the mean of the frames' rates in Hz.
+    """
 
     frames: int
     seconds: float
     mean_rate: float
+    cpu_seconds: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +93,12 @@ class Evaluation:
         return sum(s.frames for s in speeds) / sum(s.seconds for s in speeds) if speeds else None
 
     @property
+    def cpu_fps(self) -> float | None:
+        """Frames over CPU time: what the tracker needs, also on a busy machine."""
+        known = [(s.frames, s.cpu_seconds) for s in self._speeds() if s.cpu_seconds]
+        return sum(frames for frames, _ in known) / sum(seconds for _, seconds in known) if known else None
+
+    @property
     def mean_rate(self) -> float | None:
         """Mean over sequences of the mean of the frames' rates: the figure other toolkits print, too kind."""
         speeds = self._speeds()
@@ -148,6 +158,6 @@ def score(dataset: Dataset, boxes: Mapping[str, npt.ArrayLike], tracker: str = "
 
 
 def _repaired(boxes: Array) -> Array:
-    usable: Mask = np.all(np.isfinite(boxes) & (boxes > [-np.inf, -np.inf, 0, 0]), axis=1)
+    usable: Mask = np.all(np.isfinite(boxes) & (boxes > NO_AREA), axis=1)
     usable[0] = True  # the first is replaced by the truth anyway
     return np.asarray(boxes[np.maximum.accumulate(np.where(usable, np.arange(len(boxes)), 0))])

@@ -187,7 +187,7 @@ def _boxes(scene: Scene) -> Array:
 def _target(scene: Scene, rng: np.random.Generator) -> Callable[[int], paint.Picture]:
     """The target's picture for a frame: a plate, or a balloon that turns."""
     if scene.balloons:
-        turn, height = 0.5 * np.sin(_phase(scene)), max(96, round(1.4 * scene.target[1]))
+        turn, height = 0.12 * np.sin(_phase(scene)), max(96, round(1.4 * scene.target[1]))
         return lambda i: paint.balloon(0, turn[i], height)
     picture = _plate(scene, rng)
     return lambda _: picture

@@ -10,9 +10,8 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
-from mfcmt_core.cli.media import MediaError, open_source
-
 from mfcmt_core.cli import UsageError
+from mfcmt_core.cli.media import MediaError, open_source
 
 from ..client import Client, ClientError, Frame, Result
 from ..load.clips import Box, encode, open_clip, parse_box

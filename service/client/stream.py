@@ -271,6 +271,8 @@ class AsyncStream(Generic[T]):
                 self._arrived.put_nowait(message)
             case Problem(ref=int(ref)) if ref in self._controls:
                 self._controls.pop(ref).set_exception(message)
+                if message.code == "full-frame-needed":
+                    self.region = message.region
             case Problem():
                 self._refuse(message)
             case Targets(ref=ref):

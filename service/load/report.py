@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable
 from contextlib import AsyncExitStack
 from dataclasses import asdict, dataclass, field
@@ -14,7 +13,7 @@ from .clips import Clip
 from .drive import Pace
 from .own import OwnServer
 from .regions import Saving, of_clip, of_sequences, of_small_target
-from .run import Outcome, load
+from .run import Outcome, load, run_loop
 from .usage import MB, Usage, server_usage
 from .work import Work, in_process, lane_rates
 
@@ -73,7 +72,7 @@ def measure(clip: Clip, seconds: float, sequences: Path | None, say: Callable[[s
         report.after_load = server_usage(server.pid)
     with OwnServer(lanes=1) as server:
         say("memory of sessions")
-        session_mb = asyncio.run(_session_bytes(server, clip)) / MB
+        session_mb = run_loop(_session_bytes(server, clip)) / MB
         say("a session at 30 frames/s, alone")
         steady = Pace(seconds, fps=NEIGHBOUR_FPS, mode="latest")
         report.runs["alone"] = _load(server, clip, steady)
@@ -113,7 +112,7 @@ def _load(server: OwnServer, clip: Clip, pace: Pace) -> Outcome:
 
 
 def _load_all(server: OwnServer, clip: Clip, paces: list[Pace]) -> list[Outcome]:
-    return asyncio.run(load(server.url, clip, paces, front=server.pid))
+    return run_loop(load(server.url, clip, paces, front=server.pid))
 
 
 async def _session_bytes(server: OwnServer, clip: Clip) -> float:

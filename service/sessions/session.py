@@ -155,7 +155,12 @@ class Session:
     async def control(self, control: Mapping[str, Any]) -> tuple[dict[str, Any] | None, list[int] | None]:
         """Add, correct or remove a target on the newest frame: the target, if it is there, and the region."""
         async with self._turn:
-            state = await self._call("control", control)
+            try:
+                state = await self._call("control", control)
+            except ProblemError as refused:
+                if refused.code == "full-frame-needed":
+                    self.region = refused.members["region"]
+                raise
             self._take(state)
             if control["type"] != "remove":
                 self.trajectory.amend(self.rows, self.region)

@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 
 from mfcmt_core import MFCMT, MFCMTConfig, TrackResult, synthetic
+from mfcmt_core.cli import main
+from mfcmt_core.cli.media import Source
 
 SCRIPT = Path(sys.executable).with_name("mfcmt")
 LENGTH = 20
@@ -232,3 +234,16 @@ def test_progress_on_a_terminal_only(folder, box):
     assert done.returncode == 0
     assert f"{LENGTH}/{LENGTH} frames" in said
     assert "\x1b" not in done.stdout.decode()
+
+
+@pytest.mark.parametrize(("live", "code"), [(True, 0), (False, 130)])
+def test_interrupt_ends_a_camera_well_and_keeps_what_was_tracked(clip, box, tmp_path, monkeypatch, live, code):
+    def frames():
+        yield from clip.frames[:5]
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mfcmt_core.cli.track.open_source", lambda _: Source(frames(), None, 30.0, live))
+    out, video = tmp_path / "boxes.csv", tmp_path / "seen.avi"
+    assert main(["track", "0", "--box", box, "--output", str(out), "--video", str(video)]) == code
+    assert len(out.read_text().splitlines()) == 6
+    assert cv2.VideoCapture(str(video)).get(cv2.CAP_PROP_FRAME_COUNT) == 5

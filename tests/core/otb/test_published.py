@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from mfcmt_core.otb import Dataset, Evaluation, ResultFolder, evaluate
+from mfcmt_core.otb import Dataset, Evaluation, ResultFolder, evaluate, open_otb
+from mfcmt_core.otb.tables import published_figures
 
 
 def scored(dataset: Dataset, folder: Path) -> Evaluation:
@@ -39,10 +40,17 @@ def test_otb2015(
     assert result.precision == pytest.approx(precision, abs=5e-4)
 
 
+def test_the_figures_that_reports_cite_as_published_boxes(otb2013: Dataset, otb2015: Dataset, published: Path) -> None:
+    for dataset in (otb2013, otb2015):
+        cited = [row for row in published_figures(dataset.name).rows if row[-1].startswith("published boxes")]
+        assert len(cited) >= 6
+        for tracker, success, precision, *_ in cited:
+            result = scored(dataset, published / tracker)
+            assert (result.success, result.precision) == pytest.approx((float(success), float(precision)), abs=5.1e-4)
+
+
 def test_the_29_real_sequences(otb2015: Dataset, otb_root: Path, published: Path) -> None:
     """Folders with images give the scores of the annotations alone."""
-    from mfcmt_core.otb import open_otb
-
     here = open_otb(otb_root)
     folder = published / "MCCT-H"
     of_all = scored(otb2015, folder)

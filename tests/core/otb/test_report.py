@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
+from collections.abc import Sequence as Seq
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mfcmt_core.otb import DataError, Dataset, Evaluation, ResultFolder, evaluate
+from mfcmt_core.otb import DataError, Dataset, Entry, Evaluation, ResultFolder, evaluate
 from mfcmt_core.otb.compare import compare
 from mfcmt_core.otb.document import Heading, Picture, Strong, Table, to_html, to_markdown
-from mfcmt_core.otb.report import (
-    attributes,
-    differences,
-    per_sequence,
-    published_figures,
-    summary,
-    write_report,
-)
+from mfcmt_core.otb.report import write_report
+from mfcmt_core.otb.reproduce import claims_page, reproduce
+from mfcmt_core.otb.tables import attributes, differences, per_sequence, published_figures, summary
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +30,8 @@ def test_the_summary_ranks_and_keeps_incomplete_trackers_apart(evaluations: list
     assert [row[0] for row in table.rows] == ["MCCT-H", "SRDCF", "DSST", "Staple", "Struck"]
     assert table.header[-1] == "success on the 25 of all"
     assert table.rows[0][1:3] == ["0.633", "0.842"]
-    assert table.rows[3][6] == "25 of 100"
-    assert table.rows[4][6] == "99 of 100"
+    assert table.rows[3][7] == "25 of 100"
+    assert table.rows[4][7] == "99 of 100"
 
 
 def test_attribute_scores_are_means_over_the_targets_that_have_it(
@@ -115,6 +112,45 @@ def test_files(tmp_path: Path, evaluations: list[Evaluation], otb2015: Dataset) 
     assert len(first["sequences"]["David"]["success_curve"]) == 21
 
 
+def test_claims_are_judged_by_their_intervals(evaluations: list[Evaluation], otb2015: Dataset) -> None:
+    better, worse = (e.scores for e in evaluations[:2])
+    results = [
+        Evaluation("default", "OPE", better),
+        Evaluation("default-no-scale", "OPE", worse),
+        Evaluation("default-always-update", "OPE", better),
+        Evaluation("paper", "OPE", worse),
+        Evaluation("paper-always-update", "OPE", better),
+        Evaluation("MEEM", "OPE", {}),
+    ]
+    tables = {b.text: t for b, t in itertools.pairwise(blocks(results, otb2015)) if isinstance(t, Table)}
+    assert [row[-1] for row in tables["Estimating the scale pays."].rows] == ["holds"]
+    verdicts = [row[-1] for row in tables["Updating only on reliable frames is better than always updating."].rows]
+    assert verdicts == ["not decided", "does not hold"]
+    assert len(tables) == 2
+
+
+def blocks(results: list[Evaluation], dataset: Dataset) -> list[Heading | Table]:
+    return [b for b in claims_page(dataset, {"OPE": results}) if isinstance(b, Heading | Table)][:-1]
+
+
+def test_everything_is_reproduced(
+    tmp_path: Path, evaluations: list[Evaluation], otb2015: Dataset, published: Path
+) -> None:
+    asked: list[str] = []
+
+    def run(trackers: Seq[Entry | ResultFolder], protocol: str) -> list[Evaluation]:
+        asked.extend(t.name for t in trackers)
+        return [Evaluation(t.name, protocol, evaluations[i % 2].scores) for i, t in enumerate(trackers)]
+
+    (tmp_path / "results" / "OPE" / "dlib").mkdir(parents=True)
+    reproduce(tmp_path / "pages", otb2015, ["OPE"], tmp_path / "results", published, run)
+    assert len(asked) == len(set(asked))
+    wanted = {"default", "paper", "staple", "dat", "dlib", "MEEM", "paper-always-update", "default-clipped"}
+    assert wanted <= set(asked)
+    assert {p.name for p in (tmp_path / "pages").iterdir()} >= {"report.md", "report.html", "claims.md"}
+    assert "default-fixed-merge" in (tmp_path / "pages" / "claims.md").read_text()
+
+
 def test_the_same_scores_give_the_same_files(tmp_path: Path, evaluations: list[Evaluation], otb2015: Dataset) -> None:
     pytest.importorskip("matplotlib")
     for name in ("a", "b"):
@@ -124,7 +160,7 @@ def test_the_same_scores_give_the_same_files(tmp_path: Path, evaluations: list[E
 
 
 def test_markdown_and_html_escape_what_they_must() -> None:
-    blocks = [Heading("A & B", 1), "x < y", Table(["a|b"], [[Strong("1|2")]]), Picture("p", "P", "<svg/>")]
+    blocks = [Heading("A & B", 1), "x < y", Table(["a|b"], [[Strong("1|2")]]), Picture("p", "P", b"<svg/>")]
     assert to_markdown(blocks) == "# A & B\n\nx < y\n\n| a\\|b |\n| --- |\n| **1\\|2** |\n\n![P](p.svg)\n"
     page = to_html("A & B", blocks)
     assert "<h1>A &amp; B</h1>" in page

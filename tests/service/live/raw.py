@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -13,6 +14,7 @@ from websockets.exceptions import ConnectionClosed
 
 from service.load.own import OwnServer
 
+PATIENCE_S = 20.0
 MSGPACK, JSON = "mfcmt.v1.msgpack", "mfcmt.v1.json"
 
 
@@ -37,7 +39,8 @@ class Raw:
         await self.socket.send(msgpack.packb(message) if self.binary else json.dumps(message))
 
     async def receive(self) -> dict[str, Any]:
-        data = await self.socket.recv()
+        async with asyncio.timeout(PATIENCE_S):
+            data = await self.socket.recv()
         assert isinstance(data, bytes) == self.binary
         said: dict[str, Any] = msgpack.unpackb(data) if isinstance(data, bytes) else json.loads(data)
         return said
@@ -53,8 +56,9 @@ class Raw:
     async def closed(self) -> int:
         """The code with which the server closes; what comes before is read and forgotten."""
         try:
-            while True:
-                await self.socket.recv()
+            async with asyncio.timeout(PATIENCE_S):
+                while True:
+                    await self.socket.recv()
         except ConnectionClosed as end:
             return end.rcvd.code if end.rcvd else 1006
 

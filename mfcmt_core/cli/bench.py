@@ -1,0 +1,145 @@
+"""``mfcmt bench``: milliseconds a frame, stage by stage; ``--peers`` beside other trackers."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import synthetic
+from ..config import PRESETS, MFCMTConfig
+from ..tracker import MFCMT
+from . import UsageError, versus
+from .measure import STAGES, Material, StageClock, pin, real_material, synthetic_material, timed_run, warm_up
+
+BUSY = 1.15
+"""Wall over processor time above which others had the core too."""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument("--preset", choices=PRESETS, default="default")
+    parser.add_argument("--clip", choices=synthetic.SCENES, help="a rendered clip (default: sample)")
+    parser.add_argument("--data", type=Path, metavar="FOLDER", help="real sequences instead of a rendered clip")
+    parser.add_argument("--sequences", metavar="NAMES", help="of these only, apart by comma")
+    parser.add_argument("--frames", type=int, metavar="N", help="at most so many of each")
+    parser.add_argument("--repeat", type=int, default=3, metavar="N", help="passes over the frames (default: 3)")
+    parser.add_argument("--core", type=int, metavar="N", help="the core to run on (default: the last)")
+    parser.add_argument("--json", action="store_true", help="print everything as JSON")
+    parser.add_argument(
+        "--peers",
+        action="store_true",
+        help="beside OpenCV's CSRT, KCF and MOSSE and dlib, speed and accuracy, in one run on the same frames "
+        "(default: of $MFCMT_OTB_ROOT); see make bench-peers",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print."""
+    if args.repeat < 1 or (args.frames is not None and args.frames < 2):
+        raise UsageError("--repeat takes 1 or more, --frames 2 or more")
+    if args.clip and args.data:
+        raise UsageError("--clip and --data exclude each other")
+    if args.data and not args.data.is_dir():
+        raise UsageError(f"no folder {args.data}")
+    if args.core is not None and args.core not in getattr(os, "sched_getaffinity", lambda _: {args.core})(0):
+        raise UsageError(f"no core {args.core} for this process")
+    machine = pin(args.core)
+    if args.peers:
+        report = versus.measure(material(args, versus.default_data()), args.preset)
+        text = versus.table(report)
+    else:
+        report = measure(material(args), args.preset, args.repeat)
+        text = table(report)
+    if args.json:
+        print(json.dumps({"machine": machine} | report, indent=1, allow_nan=False))
+    else:
+        print(machine, text, sep="\n")
+    return 0
+
+
+def material(args: argparse.Namespace, default: Path | None = None) -> Iterator[Material]:
+    """What the arguments name."""
+    data = args.data or (None if args.clip else default)
+    if data:
+        return real_material(data, args.sequences, args.frames)
+    return synthetic_material(args.clip or "sample", args.frames)
+
+
+def measure(materials: Iterable[Material], preset: str, repeat: int) -> dict[str, Any]:
+    """Time whole updates first, then once more with a clock on each stage."""
+    config = MFCMTConfig.preset(preset)
+    clock, clips = StageClock(), []
+    updates, walls = [], []
+    for item in materials:
+        warm_up(MFCMT(config), item)
+        runs = [timed_run(MFCMT(config), item) for _ in range(repeat)]
+        cpu = np.concatenate([r.cpu[1:] for r in runs])
+        updates.append(cpu)
+        walls.append(np.concatenate([r.wall[1:] for r in runs]))
+        height, width = item.frames[0].shape[:2]
+        clips.append(
+            {"name": item.name, "frames": len(item.frames), "size": [width, height], "target": list(item.box[2:])}
+            | {"init_ms": _milliseconds(np.array([r.cpu[0] for r in runs]))["median"]}
+            | {"update_ms": _milliseconds(cpu), "fps": float(1 / cpu.mean())}
+        )
+        tracker = MFCMT(config)
+        tracker.init(item.frames[0], item.box)
+        with clock.running():
+            for frame in item.frames[1:]:
+                tracker.update(frame)
+                clock.end_frame()
+    everything, wall = np.concatenate(updates), np.concatenate(walls)
+    stages = {
+        name: _milliseconds(np.array(clock.seconds[name])) | {"calls": float(np.mean(clock.calls[name]))}
+        for name, _, _ in STAGES
+    }
+    return {
+        "preset": preset,
+        "repeat": repeat,
+        "clips": clips,
+        "stages_ms": stages,
+        "update_ms": _milliseconds(everything),
+        "fps": float(1 / everything.mean()),
+        "wall_over_cpu": float(wall.sum() / everything.sum()),
+    }
+
+
+def _milliseconds(seconds: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, float]:
+    values = seconds * 1e3
+    middle, p90, p99 = np.percentile(values, (50, 90, 99))
+    return {"median": float(middle), "mean": float(values.mean()), "p90": float(p90), "p99": float(p99)}
+
+
+def table(report: dict[str, Any]) -> str:
+    """The report for a person."""
+    lines = [f"{report['preset']} preset, {report['repeat']} passes; milliseconds of processor time a frame", ""]
+    lines.append(f"{'stage':<20}{'median':>9}{'mean':>9}{'p90':>9}{'calls':>8}")
+    for name, stage in report["stages_ms"].items():
+        if stage["calls"]:
+            lines.append(
+                f"{name:<20}{stage['median']:9.3f}{stage['mean']:9.3f}{stage['p90']:9.3f}{stage['calls']:8.2f}"
+            )
+    lines += ["", f"{'update':<20}{'median':>9}{'mean':>9}{'p90':>9}{'p99':>8}{'init':>8}{'frames/s':>10}"]
+    for clip in report["clips"]:
+        u = clip["update_ms"]
+        row = (
+            f"{u['median']:9.3f}{u['mean']:9.3f}{u['p90']:9.3f}{u['p99']:8.2f}{clip['init_ms']:8.2f}{clip['fps']:10.0f}"
+        )
+        lines.append(f"{clip['name']:<20}{row}")
+    if len(report["clips"]) > 1:
+        u = report["update_ms"]
+        row = f"{u['median']:9.3f}{u['mean']:9.3f}{u['p90']:9.3f}{u['p99']:8.2f}{'':8}{report['fps']:10.0f}"
+        lines.append(f"{'all frames':<20}{row}")
+    first = report["clips"][0]
+    if len(report["clips"]) == 1:
+        (w, h), (tw, th) = first["size"], first["target"]
+        lines.append(f"{first['frames']} frames of {w}×{h}, target {tw:.0f}×{th:.0f}")
+    if report["wall_over_cpu"] > BUSY:
+        lines.append(f"the core was busy with other work: wall time was {report['wall_over_cpu']:.2f} × as long")
+    return "\n".join(lines)

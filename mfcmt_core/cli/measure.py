@@ -1,0 +1,183 @@
+"""What the benchmarks measure with: one core, one thread, processor time, the tracker's stages one by one."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from .. import synthetic, tracker
+from ..color import ColorModel
+from ..features import FeatureStack
+from ..geometry import Image, SearchWindow
+from ..otb.dataset import Sequence
+from ..otb.layouts import open_dataset
+from ..otb.metrics import Array
+from ..result import Box
+from ..scale import ScaleModel
+from ..template import TemplateModel
+
+STAGES: tuple[tuple[str, Any, str], ...] = (
+    ("search window", SearchWindow, "crop"),
+    ("template features", FeatureStack, "extract"),
+    ("template spectra", TemplateModel, "spectra"),
+    ("colour bins", ColorModel, "bins"),
+    ("template response", TemplateModel, "respond"),
+    ("colour response", ColorModel, "respond"),
+    ("fusion", tracker, "fuse"),
+    ("scale features", ScaleModel, "spectra"),
+    ("scale response", ScaleModel, "estimate"),
+    ("template learning", TemplateModel, "learn"),
+    ("colour learning", ColorModel, "learn"),
+    ("scale learning", ScaleModel, "learn"),
+    ("re-detection", tracker, "propose"),
+    ("everything else", tracker.MFCMT, "update"),
+)
+"""Name and function of each stage, in the order of Algorithm 1; time in an inner stage counts there alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """A sequence with its frames decoded."""
+
+    sequence: Sequence
+    frames: list[Image]
+
+    @property
+    def name(self) -> str:
+        return self.sequence.name
+
+    @property
+    def box(self) -> Box:
+        """The target in the first frame."""
+        x, y, w, h = (float(v) for v in self.sequence.boxes[0])
+        return x, y, w, h
+
+
+def synthetic_material(name: str, frames: int | None) -> Iterator[Material]:
+    """A rendered clip."""
+    clip = synthetic.clip(name)
+    known = np.ones(len(clip), bool)
+    yield _decoded(Sequence(name, (), clip.boxes, known, known), clip.frames.__getitem__, frames)
+
+
+def real_material(root: Path, names: str | None, frames: int | None) -> Iterator[Material]:
+    """The sequences of a folder, OTB or another layout, one after the other. Raises DataError."""
+    dataset = open_dataset(root)
+    for sequence in dataset.select(names.split(",")) if names else dataset:
+        yield _decoded(sequence, sequence.read, frames)
+
+
+def _decoded(sequence: Sequence, read: Callable[[int], Image], frames: int | None) -> Material:
+    count = min(frames or len(sequence), len(sequence))
+    first = {name: getattr(sequence, name)[:count] for name in ("frames", "boxes", "valid", "startable")}
+    return Material(replace(sequence, **first), [read(i) for i in range(count)])
+
+
+def pin(core: int | None) -> str:
+    """Keep this process to one core and one thread; says on what machine."""
+    cv2.setNumThreads(1)
+    where = "one thread"
+    if hasattr(os, "sched_setaffinity"):
+        chosen = max(os.sched_getaffinity(0)) if core is None else core
+        os.sched_setaffinity(0, {chosen})
+        where = f"core {chosen}, one thread"
+    versions = f"numpy {np.__version__}, numba {numba.__version__}, OpenCV {cv2.__version__}"
+    return f"{cpu_name()}, {where}; Python {platform.python_version()}, {versions}"
+
+
+def cpu_name() -> str:
+    """The processor's model name."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8", errors="replace").splitlines() if info.is_file() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith(("model name", "Model"))]
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+@dataclass(frozen=True, eq=False)
+class Timed:
+    """Of each update: processor seconds, wall seconds, box, and whether the tracker said it had the target."""
+
+    cpu: Array
+    wall: Array
+    boxes: Array
+    alive: npt.NDArray[np.bool_]
+
+
+def warm_up(tracker: Any, material: Material) -> None:
+    """What is loaded and allocated on first use is there afterwards."""
+    tracker.init(material.frames[0], material.box)
+    for frame in material.frames[1:3]:
+        tracker.update(frame)
+
+
+def timed_run(tracker: Any, material: Material) -> Timed:
+    """Track through the material; row 0 is ``init`` (and its box the given one).
+
+    Time is the thread's processor time: another process on the core delays, but does not count.
+    """
+    count = len(material.frames)
+    cpu, wall, boxes, alive = np.empty(count), np.empty(count), np.empty((count, 4)), np.ones(count, bool)
+    for i, frame in enumerate(material.frames):
+        wall[i], cpu[i] = time.perf_counter(), time.thread_time()
+        result = tracker.update(frame) if i else tracker.init(frame, material.box)
+        cpu[i], wall[i] = time.thread_time() - cpu[i], time.perf_counter() - wall[i]
+        boxes[i] = getattr(result, "box", result) if i else material.box
+        alive[i] = getattr(tracker, "found", True)
+    return Timed(cpu, wall, boxes, alive)
+
+
+class StageClock:
+    """Processor time of each stage in each frame: ``seconds[name]`` and ``calls[name]``, a value a frame."""
+
+    def __init__(self) -> None:
+        self.seconds: defaultdict[str, list[float]] = defaultdict(list)
+        self.calls: defaultdict[str, list[int]] = defaultdict(list)
+        self._frame: dict[str, tuple[float, int]] = {}
+        self._inner: list[float] = []
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Wrap the stages from outside, and unwrap them in the end."""
+        with ExitStack() as stack:
+            for name, owner, attribute in STAGES:
+                original = getattr(owner, attribute)
+                setattr(owner, attribute, self._clocked(name, original))
+                stack.callback(setattr, owner, attribute, original)
+            yield
+
+    def end_frame(self) -> None:
+        """What was clocked since the last call makes a frame."""
+        for name, _, _ in STAGES:
+            seconds, calls = self._frame.get(name, (0.0, 0))
+            self.seconds[name].append(seconds)
+            self.calls[name].append(calls)
+        self._frame.clear()
+
+    def _clocked(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(function)
+        def clocked(*args: Any, **kwargs: Any) -> Any:
+            self._inner.append(0.0)
+            start = time.thread_time()
+            try:
+                return function(*args, **kwargs)
+            finally:
+                took = time.thread_time() - start
+                seconds, calls = self._frame.get(name, (0.0, 0))
+                self._frame[name] = seconds + took - self._inner.pop(), calls + 1
+                if self._inner:
+                    self._inner[-1] += took
+
+        return clocked

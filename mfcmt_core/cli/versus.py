@@ -1,0 +1,123 @@
+"""The tracker beside those of OpenCV and dlib: the same frames in the same run, speed and accuracy."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ..config import MFCMTConfig
+from ..otb.peers import PEERS, Peer
+from ..otb.protocol import Run
+from ..otb.score import Evaluation, score_runs
+from ..otb.trackers import Engine
+from . import UsageError
+from .measure import Material, Timed, timed_run, warm_up
+from .progress import Progress
+
+OURS = "MFCMT"
+FEWEST = 20
+"""Updates that a peer must be alive for in a sequence, for its speed there to count."""
+
+COLUMNS = (  # title, key, width, digits
+    ("ms", "median_ms", 8, 3),
+    ("× ours", "times_ours", 9, 2),
+    ("least", "least", 8, 2),
+    ("most", "most", 8, 2),
+    ("timed on", "timed", 10, 0),
+    ("alive", "alive", 8, 3),
+    ("AUC", "auc", 8, 3),
+    ("P@20", "precision", 8, 3),
+)
+
+
+def default_data() -> Path | None:
+    """The real sequences, where they are at hand."""
+    root = Path(os.environ.get("MFCMT_OTB_ROOT", "../shared/data/otb"))
+    return root if root.is_dir() else None
+
+
+def measure(materials: Iterable[Material], preset: str) -> dict[str, Any]:
+    """Run every tracker on each sequence in turn; who is first changes from sequence to sequence.
+
+    A frame on which a peer says that it has lost the target costs it next to nothing, so it does not count
+    for its speed. Ours counts on every frame. Ratios are of medians, per sequence.
+    """
+    peers = [Peer(name, name) for name in PEERS]
+    present = [p for p in peers if not p.lacks]
+    if not present:
+        raise UsageError("none of the peers is installed: make bench-peers sets up an environment with them")
+    entries: list[Engine | Peer] = [Engine(OURS, MFCMTConfig.preset(preset)), *present]
+    scores = {e.name: Evaluation(e.name, "OPE", {}) for e in entries}
+    medians: dict[str, dict[str, float]] = {e.name: {} for e in entries}
+    alive: dict[str, list[float]] = {e.name: [] for e in entries}
+    left_out = [f"{p.name}: {p.lacks} is not installed" for p in peers if p.lacks]
+    frames = 0
+    with Progress(None) as bar:
+        for turn, item in enumerate(materials):
+            frames += len(item.frames)
+            for k in range(len(entries)):
+                entry = entries[(turn + k) % len(entries)]
+                try:
+                    timed = _run(entry, item)
+                except (cv2.error, RuntimeError, TypeError, ValueError) as failed:
+                    if entry.name == OURS:
+                        raise
+                    left_out.append(f"{entry.name} on {item.name}: {type(failed).__name__}")
+                    continue
+                bar.step(f"{item.name} {entry.name}")
+                score = score_runs(item.sequence, [(Run("", 0, item.box), timed.boxes)])
+                scores[entry.name].scores[item.name] = score
+                counted = timed.cpu[1:][timed.alive[1:]]
+                alive[entry.name].append(float(timed.alive[1:].mean()))
+                if len(counted) >= min(FEWEST, len(item.frames) - 1):
+                    medians[entry.name][item.name] = float(np.median(counted) * 1e3)
+                else:
+                    left_out.append(
+                        f"speed of {entry.name} on {item.name}: alive on {len(counted)} of {len(timed.cpu) - 1} frames"
+                    )
+    rows = [_row(e.name, scores[e.name], medians, alive[e.name]) for e in entries]
+    sequences = {name: {e.name: medians[e.name].get(name) for e in entries} for name in medians[OURS]}
+    return {"preset": preset, "frames": frames, "trackers": rows, "median_ms": sequences, "left_out": left_out}
+
+
+def _run(entry: Engine | Peer, item: Material) -> Timed:
+    warm_up(entry.make(), item)
+    return timed_run(entry.make(), item)
+
+
+def _row(name: str, evaluation: Evaluation, medians: dict[str, dict[str, float]], alive: list[float]) -> dict[str, Any]:
+    ratios = np.array([ms / medians[OURS][s] for s, ms in medians[name].items()])
+    row: dict[str, Any] = {"name": name, "sequences": len(evaluation.scores), "timed": len(ratios)}
+    if len(ratios):
+        row["median_ms"] = _geometric_mean(np.array(list(medians[name].values())))
+        row |= {"times_ours": _geometric_mean(ratios), "least": float(ratios.min()), "most": float(ratios.max())}
+    if evaluation.scores:
+        row |= {"auc": evaluation.success, "precision": evaluation.precision, "alive": float(np.mean(alive))}
+    return row
+
+
+def _geometric_mean(values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
+    return float(np.exp(np.log(values).mean()))
+
+
+def table(report: dict[str, Any]) -> str:
+    """The report for a person."""
+    count = len(report["median_ms"])
+    head = "".join(f"{title:>{width}}" for title, _, width, _ in COLUMNS)
+    lines = [
+        f"{report['preset']} preset, {count} sequences, {report['frames']} frames; processor time of one update:",
+        "median over the frames on which the tracker is alive, geometric mean over sequences",
+        "",
+        f"{'tracker':<14}{head}",
+    ]
+    for row in report["trackers"]:
+        cells = (f"{row[key]:{w}.{digits}f}" if key in row else f"{'–':>{w}}" for _, key, w, digits in COLUMNS)
+        lines.append(f"{row['name']:<14}" + "".join(cells))
+    if report["left_out"]:
+        lines += ["", "left out:", *(f"  {line}" for line in report["left_out"])]
+    return "\n".join(lines)

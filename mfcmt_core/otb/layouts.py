@@ -1,0 +1,134 @@
+"""Data sets other than OTB: GOT-10k, VOT, UAV123 and plain folders with a ground-truth file.
+
+Frames without a usable annotation (absent targets) are left out of their scores, as their own toolkits do.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from .dataset import (
+    ONE_BASED,
+    Dataset,
+    Sequence,
+    list_images,
+    locate_otb,
+    numbered_images,
+    open_otb,
+    read_boxes,
+)
+from .errors import DataError
+from .metrics import Array
+
+ZERO_BASED: Array = np.zeros(4)
+
+TRUTH_FILES = ("groundtruth.txt", "groundtruth_rect.txt", "gt.txt")
+IMAGE_FOLDERS = ("", "img", "color", "imgs", "images")
+
+
+def open_dataset(root: Path, layout: str = "auto", subset: str = "OTB-2015") -> Dataset:
+    """The data set in a folder. ``layout`` is a name of :data:`LAYOUTS` or ``auto``, which looks what is there.
+
+    Raises DataError where nothing usable is there and where something is that cannot be used.
+    """
+    if not root.is_dir():
+        raise DataError(f"{root}: no such folder")
+    if layout == "auto":
+        layout = detect(root)
+    return open_otb(root, subset) if layout == "otb" else LAYOUTS[layout](root)
+
+
+def detect(root: Path) -> str:
+    """The layout of a folder by its landmarks."""
+    if (root / "anno" / "UAV123").is_dir():
+        return "uav123"
+    if any(p.is_dir() and p.name.startswith("GOT-10k_") for p in root.iterdir()):
+        return "got10k"
+    if any(locate_otb(root).values()):
+        return "otb"
+    if (root / "list.txt").is_file() and any(p.is_file() for p in root.glob("*/groundtruth.txt")):
+        return "vot"
+    return "plain"
+
+
+def open_got10k(root: Path) -> Dataset:
+    """``GOT-10k_*/groundtruth.txt`` beside the images; the boxes count from 0 (taken as they are)."""
+    folders = sorted(p for p in root.iterdir() if p.is_dir() and (p / "groundtruth.txt").is_file())
+    return _gathered("GOT-10k", root, {p.name: _sequence(p.name, p) for p in folders})
+
+
+def open_vot(root: Path) -> Dataset:
+    """Folders named by ``list.txt``, rectangles or polygons (their upright bounding box), counted from 0."""
+    listing = root / "list.txt"
+    names = listing.read_text(encoding="utf-8").split() if listing.is_file() else sorted(p.name for p in root.iterdir())
+    folders = {name: root / name for name in names if (root / name / "groundtruth.txt").is_file()}
+    found = _gathered("VOT", root, {n: _sequence(n, p) for n, p in folders.items()})
+    return replace(found, missing=tuple(n for n in names if n not in folders) if listing.is_file() else ())
+
+
+def open_uav123(root: Path) -> Dataset:
+    """``anno/UAV123/<name>.txt`` over ``data_seq/UAV123/<folder>``, counted from 1; NaN where the target is absent."""
+    text = resources.files(__package__).joinpath("data/uav123.csv").read_text(encoding="utf-8")
+    parts = {row["name"]: (row["folder"], int(row["first"])) for row in csv.DictReader(text.splitlines())}
+    found, missing = {}, []
+    for path in sorted((root / "anno" / "UAV123").glob("*.txt")):
+        folder, first = parts.get(path.stem, (path.stem, 1))
+        images = root / "data_seq" / "UAV123" / folder
+        if not images.is_dir():
+            missing.append(path.stem)
+            continue
+        boxes = read_boxes(path) - ONE_BASED
+        frames = numbered_images(images, first, first + len(boxes) - 1)
+        found[path.stem] = Sequence.of(path.stem, frames, boxes, first)
+    return replace(_gathered("UAV123", root, found), missing=tuple(missing))
+
+
+def open_plain(root: Path) -> Dataset:
+    """Each folder that has a ground-truth file, counted from 1, or ``root`` itself where it has one."""
+    folders = [p for p in (root, *sorted(root.iterdir())) if p.is_dir() and _truth(p) is not None]
+    return _gathered(
+        root.resolve().name, root, {p.resolve().name: _sequence(p.resolve().name, p, ONE_BASED) for p in folders}
+    )
+
+
+LAYOUTS: dict[str, Callable[[Path], Dataset]] = {
+    "otb": open_otb,
+    "got10k": open_got10k,
+    "vot": open_vot,
+    "uav123": open_uav123,
+    "plain": open_plain,
+}
+
+
+def _sequence(name: str, folder: Path, origin: Array = ZERO_BASED) -> Sequence:
+    truth = _truth(folder)
+    assert truth is not None
+    boxes = _upright(read_boxes(truth, (4, 8))) - origin
+    images = next((found for sub in IMAGE_FOLDERS if (found := list_images(folder / sub))), [])
+    if len(images) != len(boxes):
+        raise DataError(f"{truth}: {len(boxes)} boxes for {len(images)} images")
+    return Sequence.of(name, images, boxes)
+
+
+def _truth(folder: Path) -> Path | None:
+    return next((folder / name for name in TRUTH_FILES if (folder / name).is_file()), None)
+
+
+def _upright(lines: Array) -> Array:
+    """Polygons of four corners as the rectangles around them."""
+    if lines.shape[1] == 4:
+        return lines
+    x, y = lines[:, 0::2], lines[:, 1::2]
+    return np.stack([x.min(1), y.min(1), np.ptp(x, axis=1), np.ptp(y, axis=1)], axis=1)
+
+
+def _gathered(name: str, root: Path, sequences: dict[str, Sequence]) -> Dataset:
+    if not sequences:
+        raise DataError(f"{root}: no sequence of {name} is here")
+    return Dataset(name, sequences, (), root)

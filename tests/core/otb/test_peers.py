@@ -1,0 +1,73 @@
+"""Adapters of other libraries' trackers."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from mfcmt_core.otb import open_otb, score
+from mfcmt_core.otb.peers import DlibTracker, OpenCVTracker, Peer
+from tests.conftest import require
+
+FRAME = np.zeros((48, 64, 3), np.uint8)
+
+
+class Scripted:
+    """Stands in for a tracker of OpenCV: whole pixels only, and (0, 0, 0, 0) on a miss."""
+
+    def __init__(self, answers: list[tuple[bool, tuple[int, int, int, int]]]) -> None:
+        self.answers = answers
+        self.begun: Any = None
+
+    def init(self, image: Any, box: tuple[int, int, int, int]) -> None:
+        assert all(isinstance(v, int) for v in box)
+        self.begun = box
+
+    def update(self, image: Any) -> tuple[bool, tuple[int, int, int, int]]:
+        return self.answers.pop(0)
+
+
+def test_a_miss_keeps_the_box_before() -> None:
+    inner = Scripted([(True, (5, 6, 7, 8)), (False, (0, 0, 0, 0)), (True, (6, 6, 7, 8))])
+    tracker = OpenCVTracker(lambda: inner)
+    tracker.init(FRAME, (1.4, 2.6, 7.0, 8.0))
+    assert inner.begun == (1, 3, 7, 8)
+    assert [tracker.update(FRAME) for _ in range(3)] == [(5, 6, 7, 8), (5, 6, 7, 8), (6, 6, 7, 8)]
+
+
+def test_a_real_tracker_of_opencv(otb_root: Path) -> None:
+    """MIL is the one that every wheel of OpenCV has."""
+    crossing = open_otb(otb_root)["Crossing"]
+    tracker = OpenCVTracker(cv2.TrackerMIL_create)  # type: ignore[attr-defined]
+    tracker.init(crossing.read(0), crossing.boxes[0])
+    boxes = [tracker.update(crossing.read(i)) for i in range(1, 12)]
+    errors = np.linalg.norm(np.array(boxes)[:, :2] - crossing.boxes[1:12, :2], axis=1)
+    assert errors.max() < 20
+
+
+def test_dlib(otb_root: Path) -> None:
+    require(importlib.util.find_spec("dlib"), "needs dlib (pip install dlib-bin)")
+    crossing = open_otb(otb_root)["Crossing"]
+    tracker = DlibTracker()
+    tracker.init(crossing.read(0), crossing.boxes[0])
+    boxes = [crossing.boxes[0], *(tracker.update(crossing.read(i)) for i in range(1, len(crossing)))]
+    assert score(open_otb(otb_root).select(["Crossing"]), {"Crossing": boxes}).precision > 0.9
+    assert Peer("dlib", "dlib").lacks is None
+    assert Peer("dlib", "dlib").identity["code"].startswith("dlib ")
+
+
+@pytest.mark.parametrize("name", ["opencv-csrt", "opencv-kcf", "opencv-mosse"])
+def test_contrib_trackers_where_they_are(name: str, otb_root: Path) -> None:
+    peer = Peer(name, name)
+    if peer.lacks:
+        pytest.skip(f"needs {peer.lacks}, which replaces the wheel that the project uses")
+    crossing = open_otb(otb_root)["Crossing"]
+    tracker = peer.make()
+    tracker.init(crossing.read(0), crossing.boxes[0])
+    box = tracker.update(crossing.read(1))
+    assert np.abs(np.array(box) - crossing.boxes[1]).max() < 8

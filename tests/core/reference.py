@@ -1,0 +1,216 @@
+"""The numpy twin of every kernel: written for clarity, in float64, from the definitions and not from the loops."""
+
+from __future__ import annotations
+
+import numpy as np
+
+CELL = 4
+CLIP = 0.2
+TEXTURE = 0.2357
+DIRECTIONS = np.arange(18) * np.pi / 9
+
+
+# --- cells ---
+
+
+def gray_cells(gray, window):
+    cells_y, cells_x = window.shape
+    means = gray.reshape(cells_y, CELL, cells_x, CELL).astype(float).mean((1, 3))
+    return (means / 255 - 0.5) * window
+
+
+def color_name_cells(means, table, window):
+    return np.moveaxis(table[bin_pixels(means)], -1, 0) * window
+
+
+# --- fHOG ---
+
+
+def projections(dx, dy):
+    """How far each gradient points along each of the 18 directions, (18, ...)."""
+    return np.multiply.outer(np.cos(DIRECTIONS), dx) + np.multiply.outer(np.sin(DIRECTIONS), dy)
+
+
+def differences(pixels):
+    """Central differences along x and y; the border pixel repeats."""
+    padded = np.pad(pixels.astype(float), 1, mode="edge")
+    return padded[1:-1, 2:] - padded[1:-1, :-2], padded[2:, 1:-1] - padded[:-2, 1:-1]
+
+
+def gradients(gray):
+    """Magnitude and projections (18, H, W); the outermost columns repeat their neighbours."""
+    dx, dy = differences(gray)
+    for d in (dx, dy):
+        d[:, 0], d[:, -1] = d[:, 1], d[:, -2]
+    return np.hypot(dx, dy), projections(dx, dy)
+
+
+def histogram_cells(magnitude, orientation):
+    """Every pixel shares its magnitude among the four cells whose centres surround it, (cells_y, 18, cells_x)."""
+    height, width = magnitude.shape
+    cells_y, cells_x = height // CELL, width // CELL
+    out = np.zeros((cells_y + 2, 18, cells_x + 2))  # a ring of cells around catches what leaves the grid
+    y, x = np.mgrid[:height, :width]
+    v, u = (y + 0.5) / CELL - 0.5, (x + 0.5) / CELL - 0.5
+    low_v, low_u = np.floor(v).astype(int), np.floor(u).astype(int)
+    for dv in (0, 1):
+        for du in (0, 1):
+            weight = (1 - np.abs(v - low_v - dv)) * (1 - np.abs(u - low_u - du))
+            np.add.at(out, (low_v + dv + 1, orientation, low_u + du + 1), weight * magnitude)
+    return out[1:-1, :, 1:-1]
+
+
+def normalize_cells(histogram, window, epsilon):
+    """Felzenszwalb's 18 signed, 9 unsigned and 4 texture channels, (31, cells_y, cells_x)."""
+    signed = np.moveaxis(histogram.astype(float), 1, 0)
+    unsigned = signed[:9] + signed[9:]
+    energy = np.pad((unsigned**2).sum(0), 1, mode="edge")
+    blocks = energy[:-1, :-1] + energy[:-1, 1:] + energy[1:, :-1] + energy[1:, 1:]
+    factors = 1 / np.sqrt(blocks + epsilon)
+    corners = [factors[:-1, :-1], factors[:-1, 1:], factors[1:, :-1], factors[1:, 1:]]
+    clipped = [np.minimum(signed * f, CLIP) for f in corners]
+    return window * np.concatenate(
+        [
+            0.5 * sum(clipped),
+            0.5 * sum(np.minimum(unsigned * f, CLIP) for f in corners),
+            TEXTURE * np.stack([c.sum(0) for c in clipped]),
+        ]
+    )
+
+
+# --- colour ---
+
+
+def bin_pixels(patch):
+    b, g, r = np.moveaxis(patch.astype(int) // 8, -1, 0)
+    return r + 32 * g + 1024 * b
+
+
+def bin_gray(patch):
+    return patch.astype(int) // 8
+
+
+def count_colors(bins, inner, outer, size):
+    top, left, bottom, right = inner
+    foreground = np.bincount(bins[top:bottom, left:right].ravel(), minlength=size).astype(float)
+    outside = np.ones(bins.shape, bool)
+    top, left, bottom, right = outer
+    outside[top:bottom, left:right] = False
+    background = np.bincount(bins[outside], minlength=size).astype(float)
+    return foreground / max(foreground.sum(), 1), background / max(background.sum(), 1)
+
+
+def learn_lookup(new_f, new_b, rate, foreground, background, unseen):
+    f, b = (1 - rate) * foreground + rate * new_f, (1 - rate) * background + rate * new_b
+    seen = f + b > 1e-12
+    return f, b, np.divide(f, f + b, out=np.full(f.shape, float(unseen)), where=seen)
+
+
+def integral(bins, lookup):
+    return np.pad(lookup[bins].astype(float), ((1, 0), (1, 0))).cumsum(0).cumsum(1)
+
+
+def box_means(likelihood, rows, columns, height, width):
+    return np.array([[likelihood[r : r + height, c : c + width].mean() for c in columns] for r in rows])
+
+
+# --- correlation filters ---
+
+
+def respond_filters(filters, spectra, blocks):
+    return np.stack([(np.conj(filters[a:b]) * spectra[a:b]).sum(0) for a, b in blocks])
+
+
+def energy(spectra, block):
+    return (np.abs(spectra[block[0] : block[1]]) ** 2).sum(0)
+
+
+def learn_filters(spectra, label_f, blocks, regularization, rate, filters):
+    new = np.empty_like(filters)
+    for a, b in blocks:
+        new[a:b] = np.conj(label_f) * spectra[a:b] / (energy(spectra, (a, b)) + regularization)
+    return (1 - rate) * filters + rate * new
+
+
+def learn_spectra(spectra, label_f, blocks, regularization, rate, numerator, denominator):
+    numerator = (1 - rate) * numerator + rate * np.conj(label_f) * spectra
+    denominator = (1 - rate) * denominator + rate * np.stack([energy(spectra, block) for block in blocks])
+    filters = np.concatenate(
+        [numerator[a:b] / (d + regularization) for (a, b), d in zip(blocks, denominator, strict=True)]
+    )
+    return numerator, denominator, filters
+
+
+def center_response(response, shape):
+    ry, rx = shape[0] // 2, shape[1] // 2
+    return np.roll(response, (ry, rx), (0, 1))[: shape[0], : shape[1]]
+
+
+# --- fusion ---
+
+
+def fuse_maps(responses, weights, floor, power):
+    maps = responses.astype(float)
+    if floor < 2:
+        low = maps.min((1, 2), keepdims=True) if floor == 1 else 0.0
+        maps = np.maximum(maps - low, 0) ** power
+        total = maps.sum((1, 2), keepdims=True)
+        maps = np.where(total > 1e-20, maps / np.where(total > 1e-20, total, 1), 1 / maps[0].size)
+    return maps, np.average(maps, axis=0, weights=weights)
+
+
+def find_peak(fused, leave_out):
+    i, j = np.unravel_index(fused.argmax(), fused.shape)
+
+    def vertex(line, k):
+        if not 0 < k < len(line) - 1:
+            return float(k)
+        a = np.polyfit([-1, 0, 1], line[k - 1 : k + 2].astype(float), 2)[0]
+        slope = (float(line[k + 1]) - float(line[k - 1])) / 2
+        return k + (np.clip(-slope / (2 * a), -0.5, 0.5) if a < 0 else 0.0)
+
+    rows, columns = np.indices(fused.shape)
+    sidelobe = fused[(abs(rows - i) > leave_out) | (abs(columns - j) > leave_out)].astype(float)
+    height = float(fused[i, j])
+    spread = sidelobe.std() if sidelobe.size else 0.0
+    psr = (height - sidelobe.mean()) / spread if spread > 1e-6 * height else 0.0
+    return vertex(fused[:, j], i), vertex(fused[i], j), height, psr
+
+
+# --- scale ---
+
+
+def sample_scales(gray, center_x, center_y, step_x, step_y, shape):
+    """Bilinear interpolation at a grid of points around the centre, one grid a scale, (h, w, scales)."""
+    height, width = shape
+    pixels = gray.astype(float)
+    out = np.empty((height, width, len(step_x)))
+    for s in range(len(step_x)):
+        x = center_x + (np.arange(width) + 0.5 - width / 2) * step_x[s] - 0.5
+        y = center_y + (np.arange(height) + 0.5 - height / 2) * step_y[s] - 0.5
+        x, y = np.clip(x, 0, gray.shape[1] - 1), np.clip(y, 0, gray.shape[0] - 1)
+        columns = np.array([np.interp(x, np.arange(gray.shape[1]), row) for row in pixels])
+        out[..., s] = np.array([np.interp(y, np.arange(gray.shape[0]), column) for column in columns.T]).T
+    return out
+
+
+def scale_hog(samples, epsilon, window):
+    """fHOG of each scale's sample, (cells_y · cells_x · 31, scales)."""
+    columns = []
+    for s, weight in enumerate(window):
+        dx, dy = differences(samples[..., s])
+        histogram = histogram_cells(np.hypot(dx, dy), projections(dx, dy).argmax(0))
+        cells = normalize_cells(histogram, 1.0, epsilon)
+        columns.append(weight * np.moveaxis(cells, 0, -1).ravel())
+    return np.stack(columns, axis=1)
+
+
+def respond_scales(spectra, numerator, denominator, regularization):
+    return (np.conj(numerator) * spectra).sum(0) / (denominator + regularization)
+
+
+def learn_scales(spectra, label_f, rate, numerator, denominator):
+    return (
+        (1 - rate) * numerator + rate * np.conj(label_f) * spectra,
+        (1 - rate) * denominator + rate * (np.abs(spectra) ** 2).sum(0),
+    )

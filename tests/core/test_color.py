@@ -1,0 +1,168 @@
+"""Equations 4–7 and 11 of the statistical model against direct evaluations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mfcmt_core import MFCMTConfig
+from mfcmt_core.color import ColorModel
+from mfcmt_core.geometry import SearchWindow
+
+from . import reference
+
+CONFIG = MFCMTConfig.default()
+
+
+def model(target=(56.0, 44.0), grey=False, **changes) -> ColorModel:
+    config = CONFIG.replace(**changes)
+    return ColorModel(config, SearchWindow(config, target), grey)
+
+
+def few_colors(seed=0, side=CONFIG.patch_size):
+    """A patch of few colours, so that most occur in both regions."""
+    rng = np.random.default_rng(seed)
+    palette = rng.integers(0, 256, (12, 3), np.uint8)
+    return palette[rng.integers(0, 12, (side, side))]
+
+
+def regions(m: ColorModel, side):
+    """Masks of foreground and background from the model's rectangles."""
+    inner, outer = np.zeros((side, side), bool), np.ones((side, side), bool)
+    inner[m.inner[0] : m.inner[2], m.inner[1] : m.inner[3]] = True
+    outer[m.outer[0] : m.outer[2], m.outer[1] : m.outer[3]] = False
+    return inner, outer
+
+
+def test_equation_6_is_the_regression_of_equation_5():
+    """v minimises the mean of (v·x - 1)² over F plus the mean of (v·x)² over B, x one-hot; unseen stays 0."""
+    m = model()
+    bins = m.bins(few_colors()).copy()
+    m.learn(bins, first=True)
+    inner, outer = regions(m, len(bins))
+    seen, index = np.unique(bins, return_inverse=True)
+    index = index.reshape(bins.shape)
+    weight = np.where(inner, 1 / inner.sum(), 0) + np.where(outer, 1 / outer.sum(), 0)
+    used = weight > 0
+    design = np.eye(len(seen))[index[used]] * np.sqrt(weight[used])[:, None]
+    solution, *_ = np.linalg.lstsq(design, inner[used] * np.sqrt(weight[used]), rcond=None)
+    np.testing.assert_allclose(m.lookup[seen], solution, atol=1e-4)
+    assert np.count_nonzero(m.lookup) <= len(seen)
+
+
+def test_equation_4_by_bin():
+    """For each bin alone no other value does better than equation 6."""
+    m = model()
+    bins = m.bins(few_colors(3)).copy()
+    m.learn(bins, first=True)
+    inner, outer = regions(m, len(bins))
+    for b in np.unique(bins):
+        f, g = (bins[inner] == b).mean(), (bins[outer] == b).mean()
+        candidates = np.linspace(0, 1, 101)
+        losses = f * (candidates - 1) ** 2 + g * candidates**2
+        assert f * (m.lookup[b] - 1) ** 2 + g * m.lookup[b] ** 2 <= losses.min() + 1e-6
+
+
+def test_regions_are_the_inner_85_percent_and_all_outside_the_target():
+    m = model((50.0, 30.0))
+    patch = few_colors()
+    side = len(patch)
+    search = SearchWindow(CONFIG, (50.0, 30.0))
+    target = [side * t / e for t, e in zip((50.0, 30.0), search.extent, strict=True)]
+    for rectangle, part in ((m.outer, 1.0), (m.inner, CONFIG.foreground_fraction)):
+        top, left, bottom, right = rectangle
+        assert abs(right - left - part * target[0]) <= 0.5
+        assert abs(bottom - top - part * target[1]) <= 0.5
+        assert abs((left + right) - side) <= 1
+        assert abs((top + bottom) - side) <= 1
+    # a colour that occurs in the ring between them only has no say
+    patch[m.outer[0] : m.outer[2], m.outer[1] : m.outer[3]] = (1, 2, 3)
+    patch[m.inner[0] : m.inner[2], m.inner[1] : m.inner[3]] = (200, 100, 0)
+    m.learn(m.bins(patch), first=True)
+    ring = m.bins(np.full((1, 1, 3), (1, 2, 3), np.uint8))[0, 0]
+    assert m.foreground[ring] == m.background[ring] == m.lookup[ring] == 0
+    assert m.foreground.sum() == pytest.approx(1, abs=1e-4)
+    assert m.background.sum() == pytest.approx(1, abs=1e-3)
+
+
+@pytest.mark.parametrize("unseen", [0.0, 0.5])
+def test_unseen_colours(unseen):
+    m = model(unseen_likelihood=unseen)
+    bins = m.bins(few_colors())
+    m.learn(bins, first=True)
+    never = np.setdiff1d(np.arange(32**3), np.unique(bins))
+    assert (m.lookup[never] == np.float32(unseen)).all()
+
+
+@pytest.mark.parametrize("grey", [False, True])
+def test_equation_7_is_the_box_mean(grey):
+    m = model(grey=grey)
+    patch = few_colors(1)[..., 0].copy() if grey else few_colors(1)
+    bins = m.bins(patch).copy()
+    m.learn(bins, first=True)
+    out = np.empty((len(m.rows), len(m.columns)), np.float32)
+    highest = m.respond(bins, out)
+    width, height = m.box
+    np.testing.assert_allclose(out, reference.box_means(m.lookup[bins], m.rows, m.columns, height, width), atol=1e-4)
+    assert highest == pytest.approx(out.max())
+    assert 0 <= out.min() <= out.max() <= 1 + 1e-4
+
+
+@pytest.mark.parametrize("shift", [(0, 0), (8, -4), (-12, 16)])
+def test_the_target_s_colours_are_found_where_they_moved_to(shift):
+    m = model()
+    search = SearchWindow(CONFIG, (56.0, 44.0))
+
+    def patch(dx, dy):
+        image = np.full((100, 100, 3), (40, 90, 40), np.uint8)
+        image[m.outer[0] + dy : m.outer[2] + dy, m.outer[1] + dx : m.outer[3] + dx] = (30, 30, 200)
+        return image
+
+    m.learn(m.bins(patch(0, 0)), first=True)
+    out = np.empty((2 * search.reach[1] + 1, 2 * search.reach[0] + 1), np.float32)
+    assert m.respond(m.bins(patch(*shift)), out) == pytest.approx(1, abs=1e-3)
+    row, column = np.unravel_index(out.argmax(), out.shape)
+    assert (4 * (column - search.reach[0]), 4 * (row - search.reach[1])) == shift
+
+
+def test_equation_11_on_histograms():
+    m, other = model(histogram_learning_rate=0.25), model()
+    m.learn(m.bins(few_colors(0)), first=True)
+    before = m.foreground.copy(), m.background.copy()
+    other.learn(other.bins(few_colors(9)), first=True)
+    m.learn(m.bins(few_colors(9)))
+    np.testing.assert_allclose(m.foreground, 0.75 * before[0] + 0.25 * other.foreground, atol=1e-6)
+    np.testing.assert_allclose(m.background, 0.75 * before[1] + 0.25 * other.background, atol=1e-6)
+
+
+def test_refresh_gives_the_same_table_bit_for_bit():
+    """A restored tracker computes its table anew."""
+    m = model()
+    for seed in range(5):
+        m.learn(m.bins(few_colors(seed)), first=seed == 0)
+    f, b, lookup = m.foreground.copy(), m.background.copy(), m.lookup.copy()
+    m.lookup[:] = -1
+    m.refresh()
+    assert np.array_equal(m.lookup, lookup)
+    assert np.array_equal(m.foreground, f)
+    assert np.array_equal(m.background, b)
+
+
+def test_grey_has_one_axis_of_bins():
+    assert model(grey=True).lookup.shape == (32,)
+    assert model(grey=False).lookup.shape == (32768,)
+
+
+@pytest.mark.parametrize("target", [(4.0, 400.0), (400.0, 4.0), (1.0, 1.0), (1000.0, 640.0)])
+@pytest.mark.parametrize("window", ["target", "context", "square"])
+@pytest.mark.parametrize("factor", [1.2, 2.5, 10.0])
+def test_every_shape_of_target_fits_its_patch(target, window, factor):
+    m = model(target, window=window, search_area_scale=factor)
+    bins = m.bins(few_colors()).copy()
+    m.learn(bins, first=True)
+    out = np.full((len(m.rows), len(m.columns)), np.nan, np.float32)
+    m.respond(bins, out)
+    assert ((out >= -1e-4) & (out <= 1 + 1e-4)).all()
+    width, height = m.box
+    assert 0 <= m.rows.min() <= m.rows.max() <= 100 - height
+    assert 0 <= m.columns.min() <= m.columns.max() <= 100 - width

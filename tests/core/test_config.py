@@ -1,0 +1,112 @@
+"""Parameters: checked, plain, and those of the paper where it gives them."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import pytest
+
+from mfcmt_core import BadConfig, MFCMTConfig
+
+
+def test_paper_preset_says_what_the_paper_says():
+    c = MFCMTConfig.paper()
+    assert set(c.features) == {"gray", "fhog", "color_names"}
+    assert not c.joint_filter
+    assert c.regularization == 0.001
+    assert c.output_sigma_factor == 1 / 16
+    assert (c.template_learning_rate, c.histogram_learning_rate) == (0.02, 0.04)
+    assert c.average == "filter"
+    assert (c.window, c.search_area_scale, c.patch_size) == ("target", 2, 150)
+    assert c.foreground_fraction == 0.85
+    assert c.unseen_likelihood == 0
+    assert (c.probability, c.sharpness, c.statistical_weight) == ("clip", 1, 1)
+    assert (c.fused_threshold, c.template_threshold, c.statistical_threshold) == (0.5, 0.7, 0.5)
+    assert c.usual_threshold == 0
+    assert (c.num_scales, c.scale_step) == (33, 1.02)
+    assert c.scale_when_reliable
+
+
+@pytest.mark.parametrize("name", ["default", "paper"])
+def test_presets_are_plain_values_and_back(name):
+    config = MFCMTConfig.preset(name)
+    values = json.loads(json.dumps(config.to_dict()))
+    assert MFCMTConfig.from_dict(values) == config
+    assert MFCMTConfig.from_dict({}) == MFCMTConfig.default()
+    assert hash(config) == hash(MFCMTConfig.preset(name))
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        config.patch_size = 3
+
+
+BAD = [
+    ("window", "round"),
+    ("window", ["target"]),
+    ("search_area_scale", 1.0),
+    ("search_area_scale", float("nan")),
+    ("search_area_scale", "2"),
+    ("patch_size", 31),
+    ("patch_size", 100.0),
+    ("patch_size", True),
+    ("patch_size", 10**9),
+    ("features", ("gray", "gray")),
+    ("features", ("color_names",)),
+    ("features", ("sift",)),
+    ("features", "gray"),
+    ("features", 3),
+    ("features", None),
+    ("features", [["gray"]]),
+    ("joint_filter", 1),
+    ("color_name_table", 3),
+    ("regularization", 0),
+    ("regularization", -1e-3),
+    ("regularization", float("inf")),
+    ("output_sigma_factor", 0),
+    ("template_learning_rate", 1.01),
+    ("average", "mean"),
+    ("probability", "softmax"),
+    ("sharpness", 3),
+    ("sharpness", 1.0),
+    ("num_scales", 32),
+    ("num_scales", 0),
+    ("num_scales", -1),
+    ("scale_step", 1.0),
+    ("scale_step", 1.5),  # 1.5 to the 16th
+    ("lost_after", -1),
+    ("lost_after", 2.5),
+    ("usual_frames", 0),
+]
+
+
+@pytest.mark.parametrize(("name", "value"), BAD)
+def test_bad_values_are_refused_by_name(name, value):
+    changes = {name: value} | ({"color_histogram": False} if value == ("color_names",) else {})
+    with pytest.raises(BadConfig):
+        MFCMTConfig.from_dict(changes)
+    if name != "features" and value != 1.5:
+        with pytest.raises(BadConfig, match=name):
+            MFCMTConfig.default().replace(**changes)
+
+
+def test_unknown_names_are_refused():
+    with pytest.raises(BadConfig, match="'sigma', 'zoom'"):
+        MFCMTConfig.from_dict({"zoom": 1, "sigma": 2})
+    with pytest.raises(BadConfig):
+        MFCMTConfig.from_dict({"zoom": 1, 3: 2})
+    with pytest.raises(BadConfig, match="fast"):
+        MFCMTConfig.preset("fast")
+    with pytest.raises(BadConfig, match="fast"):
+        MFCMTConfig.preset("to_dict; fast")
+
+
+def test_something_must_be_left_to_track_by():
+    with pytest.raises(BadConfig, match="nothing is left"):
+        MFCMTConfig.default().replace(color_histogram=False, features=())
+    assert MFCMTConfig.default().replace(features=()).features == ()
+
+
+def test_every_field_is_checked_and_explained():
+    """Each field is refused as an object; each has a line of documentation after it."""
+    for field in dataclasses.fields(MFCMTConfig):
+        with pytest.raises(BadConfig):
+            MFCMTConfig.from_dict({field.name: object()})

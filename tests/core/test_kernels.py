@@ -1,0 +1,283 @@
+"""Every numba kernel agrees with its numpy twin to float tolerance, on rendered, real, noisy and flat pixels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from mfcmt_core.features import color_names, hann_window
+from mfcmt_core.kernels import cells, color, fusion, hog, scale, template
+
+from . import reference
+
+
+def close(actual, expected, tolerance=2e-5):
+    """Equal up to float32: relative to the largest value."""
+    assert actual.shape == expected.shape
+    np.testing.assert_allclose(actual, expected, rtol=1e-4, atol=tolerance * max(1e-6, np.abs(expected).max()))
+
+
+def complex_noise(rng, *shape):
+    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)).astype(np.complex64)
+
+
+def patch_of(image, height, width):
+    return np.ascontiguousarray(image[20 : 20 + height, 30 : 30 + width])
+
+
+# --- cells and fHOG ---
+
+
+@pytest.mark.parametrize("n", [8, 25, 37])
+def test_gray_cells(gray, n):
+    out = np.empty((n, n), np.float32)
+    cells.gray_cells(patch_of(gray, 4 * n, 4 * n), hann_window(n), out)
+    close(out, reference.gray_cells(patch_of(gray, 4 * n, 4 * n), hann_window(n)))
+
+
+def test_color_name_cells(picture):
+    table, n = color_names.table(), 25
+    means = cv2.resize(patch_of(picture, 4 * n, 4 * n), (n, n), interpolation=cv2.INTER_AREA)
+    out = np.empty((table.shape[1], n, n), np.float32)
+    cells.color_name_cells(means, table, hann_window(n), out)
+    close(out, reference.color_name_cells(means, table, hann_window(n)))
+
+
+@pytest.mark.parametrize("shape", [(100, 100), (148, 148), (32, 60)])
+def test_gradients(gray, shape):
+    patch = patch_of(gray, *shape)
+    magnitude, orientation = np.empty(shape, np.float32), np.empty(shape, np.int32)
+    hog.gradients(patch, magnitude, orientation)
+    expected, along = reference.gradients(patch)
+    close(magnitude, expected)
+    assert ((orientation >= 0) & (orientation < 18)).all()
+    # where two directions fit equally, either will do
+    chosen = np.take_along_axis(along, orientation[None].astype(np.int64), 0)[0]
+    np.testing.assert_allclose(chosen, along.max(0), atol=1e-3)
+    assert (orientation[expected == 0] == 0).all()
+
+
+@pytest.mark.parametrize("shape", [(100, 100), (148, 148), (32, 60)])
+def test_histogram_cells(gray, shape):
+    magnitude, orientation = np.empty(shape, np.float32), np.empty(shape, np.int32)
+    hog.gradients(patch_of(gray, *shape), magnitude, orientation)
+    cells_y, cells_x = shape[0] // 4, shape[1] // 4
+    histogram = np.full((cells_y, 18, cells_x), np.nan, np.float32)
+    hog.histogram_cells(magnitude, orientation, np.full((4, 18, cells_x + 2), np.nan, np.float32), histogram)
+    close(histogram, reference.histogram_cells(magnitude, orientation))
+
+
+@pytest.mark.parametrize("epsilon", [1e-4, 10.0])
+@pytest.mark.parametrize("shape", [(100, 100), (32, 60)])
+def test_normalize_cells(gray, shape, epsilon):
+    magnitude, orientation = np.empty(shape, np.float32), np.empty(shape, np.int32)
+    hog.gradients(patch_of(gray, *shape), magnitude, orientation)
+    histogram = reference.histogram_cells(magnitude, orientation).astype(np.float32)
+    cells_y, _, cells_x = histogram.shape
+    window = np.random.default_rng(0).random((cells_y, cells_x)).astype(np.float32)
+    out = np.full((hog.CHANNELS, cells_y, cells_x), np.nan, np.float32)
+    norms = np.full((cells_y + 1, cells_x + 1), np.nan, np.float32)
+    hog.normalize_cells(histogram, window, np.float32(epsilon), norms, out)
+    close(out, reference.normalize_cells(histogram, window, epsilon))
+
+
+# --- colour ---
+
+
+def test_bins(picture, gray):
+    bins = np.empty(picture.shape[:2], np.int32)
+    color.bin_pixels(picture, bins)
+    assert np.array_equal(bins, reference.bin_pixels(picture))
+    color.bin_gray(gray, bins)
+    assert np.array_equal(bins, reference.bin_gray(gray))
+
+
+@pytest.mark.parametrize(
+    ("inner", "outer"),
+    [
+        ((30, 20, 70, 60), (25, 15, 75, 65)),
+        ((49, 49, 50, 50), (49, 49, 50, 50)),
+        ((0, 0, 100, 100), (0, 0, 100, 100)),  # no background at all
+        ((10, 48, 90, 52), (0, 45, 100, 55)),
+    ],
+)
+def test_count_colors(picture, inner, outer):
+    bins = reference.bin_pixels(patch_of(picture, 100, 100)).astype(np.int32)
+    f, b = np.full(32**3, np.nan, np.float32), np.full(32**3, np.nan, np.float32)
+    color.count_colors(bins, inner, outer, f, b)
+    expected_f, expected_b = reference.count_colors(bins, inner, outer, 32**3)
+    np.testing.assert_allclose(f, expected_f, atol=1e-4)
+    np.testing.assert_allclose(b, expected_b, atol=1e-4)  # summed up pixel by pixel
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.04, 1.0])
+@pytest.mark.parametrize("unseen", [0.0, 0.5])
+def test_learn_lookup(rate, unseen):
+    rng = np.random.default_rng(1)
+    new_f, new_b, f, b = (rng.random((4, 1000)) * (rng.random((4, 1000)) > 0.6)).astype(np.float32)
+    expected = reference.learn_lookup(new_f, new_b, rate, f, b, unseen)
+    lookup = np.empty(1000, np.float32)
+    color.learn_lookup(new_f, new_b, np.float32(rate), f, b, np.float32(unseen), lookup)
+    for actual, wanted in zip((f, b, lookup), expected, strict=True):
+        close(actual, wanted)
+
+
+def test_look_up_and_box_means(picture):
+    patch = patch_of(picture, 100, 120)
+    bins = reference.bin_pixels(patch).astype(np.int32)
+    lookup = np.random.default_rng(2).random(32**3).astype(np.float32)
+    integral = np.full((101, 121), np.nan, np.float32)
+    color.look_up(bins, lookup, integral)
+    close(integral, reference.integral(bins, lookup))
+    rows, columns = np.array([0, 1, 40, 69, 69]), np.array([0, 33, 100])
+    out = np.empty((5, 3), np.float32)
+    color.box_means(integral, rows, columns, 31, 20, out)
+    np.testing.assert_allclose(out, reference.box_means(lookup[bins], rows, columns, 31, 20), atol=1e-4)
+
+
+# --- correlation filters ---
+
+N = 9
+BLOCKS = np.array([(0, 1), (1, 4), (4, 7)], np.int64)
+
+
+@pytest.fixture
+def spectra():
+    return complex_noise(np.random.default_rng(3), 7, N, N // 2 + 1)
+
+
+@pytest.fixture
+def label_f():
+    return complex_noise(np.random.default_rng(4), N, N // 2 + 1)
+
+
+def energies_of(spectra):
+    out = np.empty((len(BLOCKS), *spectra.shape[1:]), np.float32)
+    for block, energy in zip(BLOCKS, out, strict=True):
+        template.energy(spectra, block, energy)
+    return out
+
+
+def test_energy(spectra):
+    close(energies_of(spectra), np.stack([reference.energy(spectra, block) for block in BLOCKS]))
+
+
+def test_respond_filters(spectra):
+    filters = complex_noise(np.random.default_rng(5), *spectra.shape)
+    out = np.empty((len(BLOCKS), *spectra.shape[1:]), np.complex64)
+    template.respond_filters(filters, spectra, BLOCKS, out)
+    close(out, reference.respond_filters(filters, spectra, BLOCKS))
+
+
+@pytest.mark.parametrize("rate", [0.02, 1.0])
+def test_learn_filters(spectra, label_f, rate):
+    filters = complex_noise(np.random.default_rng(6), *spectra.shape)
+    expected = reference.learn_filters(spectra, label_f, BLOCKS, 0.3, rate, filters)
+    template.learn_filters(spectra, label_f, BLOCKS, np.float32(0.3), np.float32(rate), energies_of(spectra), filters)
+    close(filters, expected)
+
+
+@pytest.mark.parametrize("rate", [0.02, 1.0])
+def test_learn_spectra(spectra, label_f, rate):
+    rng = np.random.default_rng(7)
+    numerator = complex_noise(rng, *spectra.shape)
+    denominator = rng.random((len(BLOCKS), *spectra.shape[1:])).astype(np.float32)
+    filters = np.zeros_like(numerator)
+    expected = reference.learn_spectra(spectra, label_f, BLOCKS, 0.3, rate, numerator, denominator)
+    template.learn_spectra(
+        spectra,
+        label_f,
+        BLOCKS,
+        np.float32(0.3),
+        np.float32(rate),
+        energies_of(spectra),
+        numerator,
+        denominator,
+        filters,
+    )
+    for actual, wanted in zip((numerator, denominator, filters), expected, strict=True):
+        close(actual, wanted)
+
+
+@pytest.mark.parametrize("shape", [(5, 5), (9, 3), (7, 9)])
+def test_center_response(shape):
+    response = np.random.default_rng(8).standard_normal((N, N)).astype(np.float32)
+    out = np.empty(shape, np.float32)
+    highest = template.center_response(response, out)
+    assert np.array_equal(out, reference.center_response(response, shape))
+    assert highest == out.max()
+    assert out[shape[0] // 2, shape[1] // 2] == response[0, 0]
+
+
+# --- fusion ---
+
+
+@pytest.mark.parametrize("floor", [0, 1, 2])
+@pytest.mark.parametrize("power", [1, 2])
+def test_fuse_maps(floor, power):
+    rng = np.random.default_rng(9)
+    responses = rng.standard_normal((4, 11, 15)).astype(np.float32)
+    responses[2] = 0.25  # flat
+    weights = np.array([1, 1, 1, 0.3], np.float32)
+    expected, expected_fused = reference.fuse_maps(responses, weights, floor, power)
+    fused = np.empty((11, 15), np.float32)
+    fusion.fuse_maps(responses, weights, floor, power, fused)
+    close(responses, expected)
+    close(fused, expected_fused)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_find_peak(seed):
+    rng = np.random.default_rng(seed)
+    fused = rng.random(tuple(rng.choice([5, 9, 17, 25], 2))).astype(np.float32)
+    if seed % 3 == 0:  # on the border
+        fused[rng.integers(2) * -1, rng.integers(fused.shape[1])] = 2
+    np.testing.assert_allclose(fusion.find_peak(fused, 5), reference.find_peak(fused, 5), rtol=1e-4, atol=1e-4)
+
+
+# --- scale ---
+
+
+def test_sample_scales(gray):
+    cut = patch_of(gray, 60, 80)
+    step_x, step_y = np.linspace(0.8, 3.2, 8, dtype=np.float32), np.linspace(0.5, 2.1, 8, dtype=np.float32)
+    out = np.empty((24, 32, 8), np.float32)
+    scale.sample_scales(cut, np.float32(39.3), np.float32(31.7), step_x, step_y, out)
+    np.testing.assert_allclose(out, reference.sample_scales(cut, 39.3, 31.7, step_x, step_y, (24, 32)), atol=0.02)
+
+
+@pytest.mark.parametrize("epsilon", [1e-2, 10.0])
+def test_scale_hog(gray, epsilon):
+    steps = np.linspace(0.7, 1.4, 8, dtype=np.float32)
+    samples = reference.sample_scales(gray, 90.2, 80.6, steps, steps, (24, 16)).astype(np.float32)
+    samples += np.random.default_rng(0).random(samples.shape).astype(np.float32)  # no ties between directions
+    window = np.linspace(0.1, 1, 8).astype(np.float32)
+    out = np.full((6 * 4 * 31, 8), np.nan, np.float32)
+    histogram, norms = np.full((6, 4, 18, 8), np.nan, np.float32), np.full((7, 5, 8), np.nan, np.float32)
+    scale.scale_hog(samples, np.float32(epsilon), histogram, norms, window, out)
+    np.testing.assert_allclose(out, reference.scale_hog(samples, epsilon, window), atol=1e-3)
+
+
+def test_scale_filter():
+    rng = np.random.default_rng(10)
+    spectra, numerator = complex_noise(rng, 50, 17), complex_noise(rng, 50, 17)
+    denominator, label_f = rng.random(17).astype(np.float32), complex_noise(rng, 17)
+    response_f = np.empty(17, np.complex64)
+    scale.respond_scales(spectra, numerator, denominator, np.float32(0.01), response_f)
+    close(response_f, reference.respond_scales(spectra, numerator, denominator, 0.01), 1e-4)
+    expected = reference.learn_scales(spectra, label_f, 0.025, numerator, denominator)
+    scale.learn_scales(spectra, label_f, np.float32(0.025), numerator, denominator)
+    for actual, wanted in zip((numerator, denominator), expected, strict=True):
+        close(actual, wanted)
+
+
+def test_every_kernel_has_a_test():
+    """A new kernel needs a twin: its name must appear here."""
+    source = Path(__file__).read_text()
+    for module in (cells, color, fusion, hog, scale, template):
+        for name, value in vars(module).items():
+            if hasattr(value, "py_func") and value.py_func.__module__ == module.__name__:
+                assert f"{module.__name__.rsplit('.', 1)[1]}.{name}(" in source

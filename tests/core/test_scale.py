@@ -1,0 +1,128 @@
+"""The scale filter: a regression along sizes that finds by which factor a target grew."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mfcmt_core import MFCMTConfig, synthetic
+from mfcmt_core.geometry import Frame
+from mfcmt_core.scale import ScaleModel
+
+CONFIG = MFCMTConfig.default()
+SIZE = (320, 240)
+WITHIN = (0, 0, *SIZE)
+CENTER = (162.0, 121.0)
+
+
+@pytest.fixture(scope="module")
+def image():
+    return synthetic.clip("sample", target=(60.0, 80.0)).frames[0][120:360, 160:480].copy()
+
+
+def zoomed(image, factor, center=CENTER):
+    """The picture enlarged about ``center`` (continuous coordinates)."""
+    x, y = center[0] - 0.5, center[1] - 0.5
+    matrix = np.array([[factor, 0, x * (1 - factor)], [0, factor, y * (1 - factor)]])
+    return cv2.warpAffine(image, matrix, SIZE, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+
+
+def spectra(model, image, scale=1.0, center=CENTER):
+    return model.spectra(Frame.of(image), WITHIN, center, scale).copy()
+
+
+def learned(image, base_size=(70.0, 60.0), **changes):
+    model = ScaleModel(CONFIG.replace(**changes), base_size)
+    model.learn(spectra(model, image), first=True)
+    return model
+
+
+@pytest.mark.parametrize("steps", [-9, -5, -2, -1, 0, 1, 2, 5, 9])
+def test_known_scale_factors_are_recovered(image, steps):
+    factor = 1.02**steps
+    found = learned(image).estimate(spectra(learned(image), zoomed(image, factor)))
+    assert abs(np.log(found / factor) / np.log(1.02)) <= 1.01
+
+
+def test_the_scale_that_is_known_already_is_taken_into_account(image):
+    """The target at 1.2 of its first size, looked at with scale 1.2, has not changed."""
+    model = learned(image)
+    assert model.estimate(spectra(model, zoomed(image, 1.2), scale=1.2)) == pytest.approx(1, abs=0.021)
+
+
+def test_spectra_are_the_dft_over_scales(image):
+    """Of real samples: frequency 0 is their sum, and the inverse returns windowed features in [0, 1]."""
+    model = learned(image)
+    samples = np.fft.irfft(spectra(model, image), model.count, axis=1)
+    assert samples.shape == (31 * model.width * model.height // 16, 33)
+    assert samples.min() > -1e-4
+    assert samples.max() <= 1
+    features = samples / np.hanning(35)[1:-1]
+    likeness = [np.corrcoef(features[:, 16], features[:, 16 + k])[0, 1] for k in (0, 1, 4, 12)]
+    assert likeness == sorted(likeness, reverse=True)
+
+
+def test_filter_is_the_regression_along_scales(image):
+    """Solved densely in one feature: min ‖w ⋆ x - y‖² + λ‖w‖² over circular shifts of scales."""
+    model = learned(image)
+    n = model.count
+    x = np.fft.irfft(spectra(model, image), n, axis=1)
+    feature = int(np.abs(x).sum(1).argmax())
+    one = ScaleModel(CONFIG, (70.0, 60.0))
+    one.numerator = one.numerator[:1].copy()
+    one.learn(np.fft.rfft(x[feature : feature + 1]).astype(np.complex64), first=True)
+    shifts = np.stack([np.roll(x[feature], -d) for d in range(n)])
+    label = np.exp(-0.5 * ((np.arange(n) - n // 2) / (np.sqrt(n) * CONFIG.scale_sigma_factor)) ** 2)
+    penalty = CONFIG.scale_regularization
+    w = np.linalg.solve(shifts.T @ shifts + penalty * np.eye(n), shifts.T @ label)
+    w_f = one.numerator[0] / (one.denominator + penalty)
+    np.testing.assert_allclose(np.fft.irfft(w_f, n), w, atol=1e-3)
+
+
+def test_learning_rate(image):
+    model = learned(image, scale_learning_rate=0.1)
+    other = learned(zoomed(image, 1.1), scale_learning_rate=0.1)
+    first = model.numerator.copy(), model.denominator.copy()
+    model.learn(spectra(model, zoomed(image, 1.1)))
+    np.testing.assert_allclose(model.numerator, 0.9 * first[0] + 0.1 * other.numerator, atol=1e-3)
+    np.testing.assert_allclose(model.denominator, 0.9 * first[1] + 0.1 * other.denominator, rtol=1e-4)
+
+
+def test_scales_are_33_powers_of_the_step():
+    model = ScaleModel(CONFIG, (50.0, 50.0))
+    np.testing.assert_allclose(model.factors[:33], 1.02 ** np.arange(-16.0, 17), rtol=1e-6)
+    assert not model.window[33:].any()
+
+
+@pytest.mark.parametrize("value", [0, 128, 255])
+def test_nothing_to_see_keeps_the_size(image, value):
+    flat = np.full_like(image, value)
+    for model in (learned(image), learned(flat)):
+        assert model.estimate(spectra(model, flat)) == 1
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.floats(1e-3, 4000), st.floats(1e-3, 4000), st.floats(64, 4096))
+def test_samples_keep_to_their_area(w, h, area):
+    """Of the target's aspect to half a cell, between 8 and 64 px a side: also for the thinnest targets."""
+    model = ScaleModel(CONFIG.replace(scale_max_area=area), (w, h))
+    for side, exact in ((model.width, np.sqrt(area * w / h)), (model.height, np.sqrt(area * h / w))):
+        assert side % 4 == 0
+        assert side == pytest.approx(np.clip(exact, 8, 64), abs=2.001)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.floats(1e-3, 4000), st.floats(1e-3, 4000), st.floats(1e-6, 1e6))
+def test_clamp(w, h, scale):
+    model = ScaleModel(CONFIG.replace(scale_max_area=64), (w, h))
+    kept = model.clamp(scale, (640, 480))
+    if min(w, h) >= 5:
+        assert min(w, h) * kept >= 5 * (1 - 1e-9)
+    if w <= 640 and h <= 480:
+        assert w * kept <= 640 * (1 + 1e-9)
+        assert h * kept <= 480 * (1 + 1e-9)
+    assert model.clamp(1.0, (640, 480)) == 1  # the box that was given is never refused
+    assert model.clamp(kept, (640, 480)) == kept

@@ -1,0 +1,355 @@
+"""A tracker to bytes and back: every later result bit-equal, and whatever else the bytes are, BadSnapshot."""
+
+from __future__ import annotations
+
+import copy
+import struct
+from contextlib import suppress
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from mfcmt_core import MFCMT, BadSnapshot, MFCMTConfig, synthetic
+from mfcmt_core.snapshot import FORMAT, MAX_BYTES, VERSION
+
+from .helpers import ALERT, PRESETS, assert_sane
+
+DEFAULT = MFCMTConfig.default()
+FUZZ = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@pytest.fixture(scope="module")
+def data(frames, clip) -> bytes:
+    """A snapshot in the middle of a sequence."""
+    tracker = MFCMT(DEFAULT)
+    for _ in tracker.track(frames[:13], clip.boxes[0]):
+        pass
+    return tracker.to_bytes()
+
+
+# --- back again ---
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        *PRESETS.values(),
+        DEFAULT.replace(num_scales=1),
+        DEFAULT.replace(color_histogram=False),
+        DEFAULT.replace(features=()),
+        DEFAULT.replace(joint_filter=False, average="filter"),
+        DEFAULT.replace(patch_size=148, window="square"),
+    ],
+)
+def test_every_later_result_is_bit_equal(config, frames, clip):
+    tracker = MFCMT(config)
+    tracker.init(frames[0], clip.boxes[0])
+    restored = MFCMT.from_bytes(tracker.to_bytes())
+    assert restored.config == config
+    for index, frame in enumerate(frames[1:16]):
+        assert restored.update(frame) == tracker.update(frame)
+        assert restored.needed_region() == tracker.needed_region()
+        assert restored.to_bytes() == tracker.to_bytes()
+        if index % 4 == 0:
+            restored = MFCMT.from_bytes(restored.to_bytes())
+
+
+@pytest.mark.parametrize("grey", [False, True])
+def test_through_lost_and_back(grey):
+    sequence = synthetic.clip("leaves", grey=grey)
+    tracker, relayed = MFCMT(ALERT), MFCMT(ALERT)
+    seen = []
+    for index, frame in enumerate(sequence.frames):
+        if index == 0:
+            for each in (tracker, relayed):
+                each.init(frame, sequence.boxes[0])
+            continue
+        result = tracker.update(frame)
+        assert relayed.update(frame) == result
+        seen.append(result.status)
+        if index % 3 == 0:  # handed on again and again
+            relayed = MFCMT.from_bytes(relayed.to_bytes())
+            assert relayed.to_bytes() == tracker.to_bytes()
+    assert {"tracking", "uncertain", "lost"} == set(seen)
+    assert seen[-1] == "tracking"
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("box", [(132, 98, 56, 44), (160, 20, 4, 200), (10, 120, 300, 4), (50, 50, 0.01, 100)])
+def test_below_one_megabyte(box, preset, frames):
+    tracker = MFCMT(PRESETS[preset])
+    tracker.init(frames[0], box)
+    tracker.update(frames[1])
+    assert len(tracker.to_bytes()) < 1_000_000
+
+
+@pytest.mark.parametrize("kind", [bytes, bytearray, memoryview])
+def test_any_bytes(kind, data):
+    assert MFCMT.from_bytes(kind(data)).to_bytes() == data
+
+
+def test_format(data):
+    """Versioned MessagePack with raw little-endian arrays; nothing is shared with the bytes."""
+    document = msgpack.unpackb(data)
+    assert document["format"] == FORMAT == "mfcmt-tracker"
+    assert document["version"] == VERSION
+    assert MFCMTConfig.from_dict(document["config"]) == DEFAULT
+    for packed in document["arrays"].values():
+        assert packed["dtype"] in {"<f4", "<c8"}
+        assert len(packed["data"]) == np.prod(packed["shape"]) * np.dtype(packed["dtype"]).itemsize
+    mutable = bytearray(data)
+    tracker = MFCMT.from_bytes(mutable)
+    mutable[:] = bytes(len(mutable))
+    assert tracker.to_bytes() == data
+
+
+# --- what is not a snapshot ---
+
+
+def changed(data, *path_and_value):
+    document = msgpack.unpackb(data)
+    *path, last, value = path_and_value
+    part = document
+    for key in path:
+        part = part[key]
+    part[last] = value
+    return msgpack.packb(document)
+
+
+def array(shape, value, dtype="<f4"):
+    return {"dtype": dtype, "shape": list(shape), "data": np.full(shape, value, dtype).tobytes()}
+
+
+BIG = [2**31, 2**31]
+CHANGES = [
+    ("format", "pickle"),
+    ("format", None),
+    ("version", 0),
+    ("version", VERSION + 1),
+    ("version", "1"),
+    ("config", None),
+    ("config", []),
+    ("config", {"zoom": 1}),
+    ("config", {1: 2, b"x": 3}),
+    ("config", "color_name_table", "/no/such/file.npy"),
+    ("config", "color_name_table", "/dev/zero"),
+    ("config", "patch_size", 148),
+    ("config", "patch_size", 2**40),
+    ("config", "num_scales", 101),
+    ("config", "features", ["gray"]),
+    ("config", "scale_step", 1.5),
+    ("frame_size", [0, 10]),
+    ("frame_size", [320]),
+    ("frame_size", [320, 240, 3]),
+    ("frame_size", [2**40, 2**40]),
+    ("frame_size", [100, 100]),
+    ("frame_size", "ab"),
+    ("base_size", [0, 10]),
+    ("base_size", [-3.0, 10.0]),
+    ("base_size", [float("nan"), 10.0]),
+    ("base_size", [1e-3, 4e6]),
+    ("base_size", [1e300, 1e300]),
+    ("grey", True),
+    ("grey", 1),
+    ("center", [-1.0, 5.0]),
+    ("center", [1e5, 5.0]),
+    ("center", [float("inf"), 5.0]),
+    ("center", None),
+    ("scale", 0),
+    ("scale", -1.0),
+    ("scale", float("nan")),
+    ("scale", "1"),
+    ("reliability", {}),
+    ("reliability", "lost", 1),
+    ("reliability", "usual", float("inf")),
+    ("reliability", "learned", -1),
+    ("reliability", "history", None),
+    ("reliability", "history", [[0.1, 0.2]]),
+    ("reliability", "history", [[0.1, 0.2, float("nan")]]),
+    ("reliability", "history", [[0.1, 0.2, 0.3]] * 11),
+    ("reliability", "history", [[1e300, 0.2, 0.3]]),
+    ("arrays", {}),
+    ("arrays", []),
+    ("arrays", [[1, 2], ["a", 3]]),
+    ("arrays", b"x", 1),
+    ("arrays", "more", array((3,), 0)),
+    ("arrays", "foreground", None),
+    ("arrays", "foreground", b"1234"),
+    ("arrays", "foreground", {"dtype": "<f4", "shape": [32768], "data": b"123"}),
+    ("arrays", "foreground", {"dtype": "<f4", "shape": BIG, "data": b""}),
+    ("arrays", "foreground", {"dtype": "|O", "shape": [32768], "data": bytes(32768 * 8)}),
+    ("arrays", "foreground", {"dtype": ">f4", "shape": [32768], "data": bytes(32768 * 4)}),
+    ("arrays", "foreground", {"dtype": "<f4", "shape": [32768], "data": "x" * 32768 * 4}),
+    ("arrays", "foreground", array((32768,), np.nan)),
+    ("arrays", "foreground", array((32768,), np.inf)),
+    ("arrays", "foreground", array((32768,), -1)),
+    ("arrays", "foreground", array((32768,), 1e30)),
+    ("arrays", "foreground", array((32, 1024), 0)),
+]
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=lambda change: repr(change)[:60])
+def test_fields_that_do_not_fit(change, data):
+    with pytest.raises(BadSnapshot):
+        MFCMT.from_bytes(changed(data, *change))
+
+
+@pytest.mark.parametrize("name", ["format", "version", "config", "frame_size", "base_size", "grey", "center", "scale"])
+def test_fields_that_are_missing(name, data):
+    document = msgpack.unpackb(data)
+    del document[name]
+    with pytest.raises(BadSnapshot):
+        MFCMT.from_bytes(msgpack.packb(document))
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        None,
+        7,
+        "text",
+        [1, 2],
+        b"",
+        b"\xc1",
+        b"\x93NUMPY",
+        msgpack.packb(None),
+        msgpack.packb([1, 2, 3]),
+        msgpack.packb({1: 2}),
+        msgpack.packb({"format": FORMAT}),
+        b"\x91" * 100_000,  # lists in lists
+        b"\xdd\xff\xff\xff\xff",  # a list of four thousand million
+        b"\xdf\xff\xff\xff\xff\xa1a",
+        b"\xc6\xff\xff\xff\xff1234",
+        b"\xd6\xff" + bytes(4),  # a time
+        bytes(MAX_BYTES + 1),
+    ],
+    ids=lambda value: repr(value)[:40],
+)
+def test_not_a_snapshot(value):
+    with pytest.raises(BadSnapshot):
+        MFCMT.from_bytes(value)
+
+
+def test_trailing_bytes_are_refused(data):
+    with pytest.raises(BadSnapshot):
+        MFCMT.from_bytes(data + b"\x00")
+
+
+def check(blob, frames):
+    """BadSnapshot, or a tracker that works like any other."""
+    try:
+        tracker = MFCMT.from_bytes(blob)
+    except BadSnapshot:
+        return
+    x, y, w, h = tracker.needed_region()
+    width, height = frame_size = msgpack.unpackb(blob)["frame_size"]
+    if [width, height] == [320, 240]:
+        cuts = [{"image": frame} for frame in frames[13:16]]
+    elif w * h <= 1 << 20:
+        noise = np.random.default_rng(0).integers(0, 256, (h, w, 3), np.uint8)
+        cuts = [{"image": noise, "offset": (x, y), "frame_size": frame_size}]
+    else:
+        return
+    for arguments in cuts:
+        assert_sane(tracker.update(**arguments), (width, height))
+    with suppress(BadSnapshot):  # numbers that were just inside what is taken may have grown out of it
+        assert MFCMT.from_bytes(tracker.to_bytes()).to_bytes() == tracker.to_bytes()
+
+
+@FUZZ
+@given(st.lists(st.tuples(st.integers(0, 2**30), st.integers(1, 255)), min_size=1, max_size=20), st.booleans())
+def test_flipped_bytes(data, frames, flips, at_the_front):
+    """Anywhere, or in the first kilobyte, where all that is not arrays lies."""
+    blob = bytearray(data)
+    for place, mask in flips:
+        blob[place % (1000 if at_the_front else len(blob))] ^= mask
+    check(bytes(blob), frames)
+
+
+@FUZZ
+@given(st.integers(0, 2**30), st.integers(0, 2**30), st.binary(max_size=40))
+def test_cut_and_spliced(data, frames, start, stop, between):
+    start, stop = sorted((start % (len(data) + 1), stop % (len(data) + 1)))
+    check(data[:start] + between + data[stop:], frames)
+    if start < len(data):
+        with pytest.raises(BadSnapshot):
+            MFCMT.from_bytes(data[:start])
+
+
+PLAIN = st.recursive(
+    st.one_of(
+        st.none(),
+        st.booleans(),
+        st.integers(-(2**63), 2**64 - 1),
+        st.floats(),
+        st.text(max_size=8),
+        st.binary(max_size=16),
+        st.sampled_from([0, 1, -1, 1e-3, 320, 240, 1e6, "gray", "<f4", 2**20, "default"]),
+    ),
+    lambda children: st.lists(children, max_size=4) | st.dictionaries(st.text(max_size=4), children, max_size=3),
+    max_leaves=6,
+)
+
+
+def paths(value, prefix=()):
+    """Every place in the document that a value may stand at."""
+    if prefix:
+        yield prefix
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, part in items:
+        yield from paths(part, (*prefix, key))
+
+
+@FUZZ
+@given(st.data())
+def test_any_value_in_any_place(data, frames, draw):
+    document = msgpack.unpackb(data)
+    for _ in range(draw.draw(st.integers(1, 3))):
+        *path, last = draw.draw(st.sampled_from(sorted(paths(document), key=repr)))
+        part = document
+        for key in path:
+            part = part[key]
+        part[last] = draw.draw(PLAIN)
+    check(msgpack.packb(document), frames)
+
+
+@FUZZ
+@given(
+    st.sampled_from(
+        ["filters", "numerator", "denominator", "scale_numerator", "scale_denominator", "foreground", "background"]
+    ),
+    st.floats(width=32),
+    st.booleans(),
+)
+@example("filters", 1e12, True)
+@example("filters", -1e12, True)
+@example("scale_numerator", 1e12, True)
+@example("scale_denominator", 0.0, True)
+@example("denominator", 0.0, True)
+@example("foreground", 0.0, True)
+@example("background", 1e12, True)
+def test_any_numbers_in_arrays(data, frames, name, value, everywhere):  # fmt: skip
+    document = copy.deepcopy(msgpack.unpackb(data))
+    packed = document["arrays"].get(name)
+    if packed is None:
+        return
+    numbers = np.frombuffer(packed["data"], "<f4").copy()
+    numbers[slice(None) if everywhere else slice(100, 110)] = value
+    packed["data"] = numbers.tobytes()
+    check(msgpack.packb(document), frames)
+
+
+def test_scores_stay_finite_after_a_flat_history(data, frames):
+    tiny = 5e-324
+    result = MFCMT.from_bytes(changed(data, "reliability", "history", [[tiny, tiny, tiny]])).update(frames[13])
+    assert_sane(result, (320, 240))
+
+
+def test_doubles_are_kept_to_the_bit(frames):
+    tracker = MFCMT(DEFAULT)
+    tracker.init(frames[0], (132.1, 98.7, 56.3, 44.9))
+    document = msgpack.unpackb(tracker.to_bytes())
+    assert struct.pack("<2d", *document["base_size"]) == struct.pack("<2d", 56.3, 44.9)

@@ -1,0 +1,168 @@
+"""Equations 1–3 and 11 of the template models against regressions solved densely."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import fft
+
+from mfcmt_core import MFCMTConfig, synthetic
+from mfcmt_core.geometry import SearchWindow
+from mfcmt_core.template import TemplateModel
+
+CONFIG = MFCMTConfig.default().replace(patch_size=32, regularization=0.01)
+"""Cells of 8×8: small enough to write every shift of the samples down."""
+N = 8
+
+
+def model(**changes) -> TemplateModel:
+    config = CONFIG.replace(**changes)
+    return TemplateModel(config, SearchWindow(config, (60.0, 40.0)), grey=False)
+
+
+def spectra_of(features):
+    return fft.rfft2(features.astype(np.float32))
+
+
+def noise(seed, channels):
+    return np.random.default_rng(seed).standard_normal((channels, N, N))
+
+
+def label_of(m: TemplateModel):
+    """The label in space, zero displacement first: peak value 1 there."""
+    label = np.fft.irfft2(m.label_f, s=(N, N))
+    assert label[0, 0] == pytest.approx(label.max()) == pytest.approx(1)
+    return label
+
+
+def correlation_matrix(features):
+    """A with A · w the circular cross-correlation of equation 1: a row for each displacement, (N², L·N²).
+
+    (w ⋆ x)[d] = Σ_c w[c] x[c + d], summed over channels.
+    """
+    rows = [np.roll(features, (-dy, -dx), (1, 2)).ravel() for dy in range(N) for dx in range(N)]
+    return np.stack(rows)
+
+
+def filter_in_space(m: TemplateModel, block):
+    return np.fft.irfft2(m.filters[slice(*block)], s=(N, N)).ravel()
+
+
+def respond(m: TemplateModel, spectra):
+    """The whole response, zero displacement in the middle."""
+    out = np.empty((len(m.names), N - 1, N - 1), np.float32)
+    return m.respond(spectra, out), out
+
+
+@pytest.mark.parametrize("average", ["filter", "spectra"])
+@pytest.mark.parametrize("features", [("gray",), ("gray", "color_names")])
+def test_equation_2_solves_the_regression_of_equation_1(average, features):
+    """min ‖A w - y‖² + λ ‖w‖² over all channels, λ in the scale of unnormalised transforms."""
+    m = model(features=features, average=average)
+    x = noise(0, m.features.channels)
+    m.learn(spectra_of(x), first=True)
+    a, y = correlation_matrix(x), label_of(m).ravel()
+    penalty = CONFIG.regularization * N * N
+    w = np.linalg.solve(a.T @ a + penalty * np.eye(a.shape[1]), a.T @ y)
+    np.testing.assert_allclose(filter_in_space(m, (0, m.features.channels)), w, atol=1e-5)
+
+    # nothing does better
+    def loss(v):
+        return ((a @ v - y) ** 2).sum() + penalty * (v**2).sum()
+
+    rng = np.random.default_rng(1)
+    assert all(loss(w) <= loss(w + 1e-2 * rng.standard_normal(w.shape)) for _ in range(20))
+
+
+def test_equation_3_is_the_dense_correlation():
+    m = model()
+    m.learn(spectra_of(noise(0, m.features.channels)), first=True)
+    z = noise(1, m.features.channels)
+    expected = (correlation_matrix(z) @ filter_in_space(m, (0, m.features.channels))).reshape(N, N)
+    highest, out = respond(m, spectra_of(z))
+    np.testing.assert_allclose(out[0], np.roll(expected, (3, 3), (0, 1))[:7, :7], atol=1e-5)
+    assert highest == pytest.approx(out.max())
+
+
+@pytest.mark.parametrize("shift", [(0, 0), (2, -1), (-3, 3)])
+def test_equation_3_needs_the_conjugate_that_the_print_leaves_out(shift):
+    m = model()
+    x = noise(2, m.features.channels)
+    m.learn(spectra_of(x), first=True)
+    z = spectra_of(np.roll(x, shift, (1, 2)))
+    _, out = respond(m, z)
+    assert np.unravel_index(out[0].argmax(), (7, 7)) == (3 + shift[0], 3 + shift[1])
+    assert out.max() > 0.9
+    as_printed = np.fft.irfft2((m.filters * z).sum(0), s=(N, N))
+    assert as_printed.max() < 0.5
+
+
+def test_separate_filters_are_independent_regressions():
+    """Three basic models: each regresses on its own channels, and their peaks are averaged."""
+    m = model(joint_filter=False)
+    assert m.names == ("gray", "fhog", "color_names")
+    x, z = noise(3, m.features.channels), noise(4, m.features.channels)
+    m.learn(spectra_of(x), first=True)
+    mean_peak, out = respond(m, spectra_of(z))
+    peaks = []
+    for k, (name, block) in enumerate(m.features.blocks.items()):
+        alone = model(features=(name,) if name != "color_names" else ("gray", name), joint_filter=False)
+        channels = x[block] if name != "color_names" else np.concatenate([x[:1], x[block]])
+        alone.learn(spectra_of(channels), first=True)
+        np.testing.assert_allclose(m.filters[block], alone.filters[-x[block].shape[0] :], atol=1e-5)
+        peaks.append(out[k].max())
+    assert mean_peak == pytest.approx(np.mean(peaks))
+
+
+def test_equation_11_averages_filters():
+    m = model(average="filter", template_learning_rate=0.1)
+    one, two = spectra_of(noise(5, 42)), spectra_of(noise(6, 42))
+    m.learn(two, first=True)
+    second = m.filters.copy()
+    m.learn(one, first=True)  # the first frame has a rate of 1: nothing of what was is left
+    first = m.filters.copy()
+    m.learn(two)
+    np.testing.assert_allclose(m.filters, 0.9 * first + 0.1 * second, atol=1e-6)
+
+
+def test_equation_11_on_spectra_minimises_the_weighted_sum_of_all_losses():
+    """With one channel exactly: frames weigh (1-η)², (1-η)η and η."""
+    m = model(features=("gray",), average="spectra", template_learning_rate=0.2)
+    samples = [noise(seed, 1) for seed in (7, 8, 9)]
+    for i, x in enumerate(samples):
+        m.learn(spectra_of(x), first=i == 0)
+    y, penalty = label_of(m).ravel(), CONFIG.regularization * N * N
+    normal, right = penalty * np.eye(N * N), np.zeros(N * N)
+    for weight, x in zip((0.64, 0.16, 0.2), samples, strict=True):
+        a = correlation_matrix(x)
+        normal += weight * a.T @ a
+        right += weight * a.T @ y
+    np.testing.assert_allclose(filter_in_space(m, (0, 1)), np.linalg.solve(normal, right), atol=1e-5)
+
+
+@pytest.mark.parametrize(("target", "window"), [((60, 40), "context"), ((30, 90), "target"), ((50, 50), "square")])
+def test_label_is_a_gaussian_of_the_target_s_size(target, window):
+    """Standard deviation 1/16 of √(wh), in cells, peak 1 at zero displacement."""
+    config = MFCMTConfig.default().replace(window=window)
+    search = SearchWindow(config, target)
+    m = TemplateModel(config, search, grey=False)
+    label = np.fft.irfft2(m.label_f, s=(search.cells, search.cells))
+    assert label[0, 0] == pytest.approx(label.max(), abs=1e-6)
+    assert label[0, 0] == pytest.approx(1, abs=1e-5)
+    sigma = np.sqrt(search.target[0] * search.target[1]) / 16
+    for dy, dx in ((0, 1), (1, 0), (-1, 1), (2, -2)):
+        assert label[dy, dx] == pytest.approx(np.exp(-(dx**2 + dy**2) / (2 * sigma**2)), abs=1e-4)
+
+
+def test_a_moved_patch_is_found_where_it_moved_to():
+    """From pixels to displacement: 12 px of the patch are 3 cells."""
+    config = MFCMTConfig.default()
+    search = SearchWindow(config, (56.0, 44.0))
+    m = TemplateModel(config, search, grey=False)
+    image = synthetic.clip("motion").frames[0]
+    m.learn(m.spectra(np.ascontiguousarray(image[60:160, 100:200])), first=True)
+    out = np.empty((1, 2 * search.reach[1] + 1, 2 * search.reach[0] + 1), np.float32)
+    for dx, dy in ((0, 0), (12, 0), (-8, 8), (4, -12)):
+        m.respond(m.spectra(np.ascontiguousarray(image[60 - dy : 160 - dy, 100 - dx : 200 - dx])), out)
+        row, column = np.unravel_index(out[0].argmax(), out[0].shape)
+        assert (4 * (column - search.reach[0]), 4 * (row - search.reach[1])) == (dx, dy)
