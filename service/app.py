@@ -54,7 +54,7 @@ def create_app(
     lanes = lanes or local_lanes(settings)
     book = SessionBook(settings, lanes, metrics, clock)
     service = Service(settings, lanes, book, Gate(settings, clock), metrics)
-    metrics.observe_service(book.__len__, settings.capacity, lanes.status)
+    metrics.observe_service(book.__len__, settings.capacity, lanes)
 
     app = FastAPI(
         title="MFCMT",
