@@ -17,7 +17,8 @@ from ..service import Service
 from .answers import problem_response
 
 SANE_ID = re.compile(r"[A-Za-z0-9._:/+=-]{1,128}")
-QUIET = {"/livez", "/readyz", "/metrics"}
+# Calls that come all the time; logged at debug unless they are refused.
+QUIET = {"/livez", "/readyz", "/metrics", "/v1/sessions/{session_id}/frames"}
 SAFE_HEADERS = (
     ("X-Content-Type-Options", "nosniff"),
     ("Cache-Control", "no-store"),
@@ -99,7 +100,7 @@ class Surroundings:
         if problem is not None:
             metrics.problems.labels(code=problem.code).inc()
             line |= {"code": problem.code, "detail": problem.detail}
-        write = log.debug if path in QUIET else log.info
+        write = log.debug if path in QUIET and problem is None else log.info
         write("call", **line, ms=round(took_s * 1e3, 3))
 
 

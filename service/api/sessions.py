@@ -50,7 +50,7 @@ async def list_sessions(
     service: ServiceDep,
     caller: Caller,
     accepted: Accepted,
-    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+    limit: Annotated[int, Query(ge=1, le=100)] = 50,
     after: Annotated[str, Query(pattern="^[0-9]{0,18}$", description="`next` of the page before")] = "",
 ) -> Response:
     """The caller's own sessions, oldest first."""

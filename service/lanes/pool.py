@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Mapping
 from multiprocessing import forkserver
 from typing import Any
 
-from .interface import AtCapacity, Buffers, KeysLost, LaneEvent, LaneLost, LaneReady, LaneStatus
+from .interface import AtCapacity, Buffers, KeysLost, LaneEvent, LaneLost, LaneReady, LaneStatus, LaneUsage
 from .process import LaneProcess
 from .usage import cpu_s, rss_bytes
 
@@ -95,10 +95,11 @@ class LanePool:
 
     def status(self) -> list[LaneStatus]:
         """Every lane."""
-        return [
-            LaneStatus(lane.number, lane.ready, len(lane.keys), rss_bytes(lane.pid), cpu_s(lane.pid), lane.versions)
-            for lane in self._lanes
-        ]
+        return [LaneStatus(lane.number, lane.ready, len(lane.keys), lane.versions) for lane in self._lanes]
+
+    def usage(self) -> list[LaneUsage]:
+        """What every lane uses."""
+        return [LaneUsage(lane.number, rss_bytes(lane.pid), cpu_s(lane.pid)) for lane in self._lanes]
 
     def _new(self, number: int) -> LaneProcess:
         return LaneProcess(number, on_ready=self._ready, on_lost=self._lost)
