@@ -224,8 +224,8 @@ async def test_a_reader_that_pauses_is_not_flooded(client: AsyncClient, clip: Cl
         assert seqs == list(range(1, 40))
 
 
-async def test_a_server_that_comes_back_without_the_session(serve: Serve, clip: Clip) -> None:
-    server = serve()
+async def test_a_server_that_comes_back_without_the_session(own_server: Serve, clip: Clip) -> None:
+    server = own_server(drain_grace_s=0.2)
     async with AsyncClient(server.url) as client:
         session = await client.create(clip.frames[0], clip.box)
         stream = session.stream(paced(clip, 20), mode="lossless", reconnect_for_s=30)
@@ -237,8 +237,8 @@ async def test_a_server_that_comes_back_without_the_session(serve: Serve, clip: 
         assert gone.value.code == "session-not-found"
 
 
-async def test_a_server_that_does_not_come_back(serve: Serve, clip: Clip) -> None:
-    server = serve()
+async def test_a_server_that_does_not_come_back(own_server: Serve, clip: Clip) -> None:
+    server = own_server(drain_grace_s=0.2)
     async with AsyncClient(server.url, timeout_s=2) as client:
         session = await client.create(clip.frames[0], clip.box)
         stream = session.stream(paced(clip, 20), mode="lossless", reconnect_for_s=0.5)
