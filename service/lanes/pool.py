@@ -6,7 +6,6 @@ import asyncio
 import atexit
 import contextlib
 import multiprocessing
-import time
 from collections.abc import AsyncIterator, Mapping
 from multiprocessing import forkserver
 from typing import Any
@@ -17,8 +16,10 @@ from .usage import cpu_s, rss_bytes
 
 WATCH_EVERY_S = 0.1
 STOP_S = 2.0
-# A lane that lives shorter than this counts as a crash in a row; each doubles the wait for the next start.
-STEADY_S = 10.0
+# A lane that lives shorter than this crashes in a row with the one before. The first two are replaced at
+# once; from then on each doubles the wait.
+STEADY_S = 2.0
+PATIENCE = 2
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.1, 10.0
 
 
@@ -127,10 +128,10 @@ class LanePool:
         for key in lane.keys:
             del self._homes[key]
         self._events.put_nowait(KeysLost(lane.number, cause, tuple(lane.keys)))
-        steady = time.monotonic() - lane.started_at > STEADY_S
+        steady = bool(lane.versions) and lane.lasted_s() > STEADY_S
         self._crashes[lane.number] = 0 if steady else self._crashes[lane.number] + 1
         crashes = self._crashes[lane.number]
-        wait_s = min(FIRST_WAIT_S * 2**crashes, LONGEST_WAIT_S) if crashes > 1 else 0.0
+        wait_s = min(FIRST_WAIT_S * 2 ** (crashes - PATIENCE), LONGEST_WAIT_S) if crashes > PATIENCE else 0.0
         self._lanes[lane.number] = self._new(lane.number)
         self._spawn(self._begin(self._lanes[lane.number], wait_s))
 
@@ -140,7 +141,7 @@ class LanePool:
             for lane in self._lanes:
                 if lane.overdue_s() > self._deadline_s:
                     lane.kill(hung=True)
-                elif lane.pid and not lane.ready and time.monotonic() - lane.started_at > self._start_timeout_s:
+                elif lane.pid and not lane.ready and lane.lasted_s() > self._start_timeout_s:
                     lane.kill()
 
     def _kill_all(self) -> None:
