@@ -61,7 +61,7 @@ def run_loop(work: Coroutine[Any, Any, R]) -> R:
 async def load(
     url: str, clip: Clip, paces: Sequence[Pace], *, key: str | None = None, front: int | None = None
 ) -> list[Outcome]:
-    """Drive one session at each of ``paces`` at once; an outcome for each, and one for all where several.
+    """Drive one session at each of ``paces`` at once; one outcome for all if they are alike, else one for each.
 
     ``front`` is the process id of the server's front, where it runs on this machine.
     """
@@ -75,7 +75,7 @@ async def load(
         after = server_usage(front) if front is not None else None
     if len(tallies) == 1 or len(set(paces)) == 1:
         return [_outcome(tallies, before, after)]
-    return [_outcome([tally], before, after) for tally in tallies]
+    return [_outcome([tally], None, None) for tally in tallies]  # what they spent cannot be told apart
 
 
 def _outcome(tallies: Sequence[Tally], before: dict[str, Usage] | None, after: dict[str, Usage] | None) -> Outcome:
