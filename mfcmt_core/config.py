@@ -70,14 +70,14 @@ class MFCMTConfig:
     """γ_t: of the template peak over its ten-frame mean."""
     statistical_threshold: float = 0.5
     """γ_s: of the statistical peak over its ten-frame mean."""
-    usual_threshold: float = 0.0
-    """The template peak must also exceed this part of its slow mean over learned frames; 0 for no such test."""
+    usual_threshold: float = 0.25
+    """Template and statistical peak must also exceed this part of their slow means over learned frames; 0: no test."""
     usual_frames: int = 100
-    """Length of that slow mean."""
+    """Length of those slow means."""
     lost_after: int = 15
     """Frames in a row that fail before the target counts as lost; 0 for never."""
     found_threshold: float = 0.6
-    """A lost target is found again where the template peak exceeds this part of its slow mean."""
+    """A lost target is found again where both peaks exceed this part of their slow means."""
 
     # Scale (Algorithm 1, line 8; DSST)
     num_scales: int = 33

@@ -22,6 +22,11 @@ class Peaks:
     template: float
     statistical: float
 
+    @property
+    def strength(self) -> tuple[float, float]:
+        """What tells one place from another: the template peak, or where there is none the statistical one."""
+        return self.template, self.statistical
+
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
@@ -36,14 +41,14 @@ class Verdict:
 class Reliability:
     """Compares each frame's peaks with their means over the last ten frames, reliable or not.
 
-    ``usual`` is the slow mean of the template peak over frames that were learned from. The ten-frame
-    means sink with a vanishing target and would call it reliable again; the slow mean remembers.
+    ``usual`` holds slow means of the template and the statistical peak over frames that were learned from.
+    The ten-frame means sink with a vanishing target and would call it reliable again; the slow ones remember.
     """
 
     def __init__(self, config: MFCMTConfig) -> None:
         self.config = config
         self.history: deque[tuple[float, float, float]] = deque(maxlen=HISTORY)
-        self.usual = 0.0
+        self.usual = (0.0, 0.0)
         self.learned = 0
         self.unreliable_run = 0
         self.lost = False
@@ -56,15 +61,16 @@ class Reliability:
         means = [sum(column) / len(self.history) for column in zip(*self.history, strict=True)] or values
         scores = Scores(*(min(v / m, MAX_SCORE) if m > 0 else 1.0 for v, m in zip(values, means, strict=True)))
         self.history.append(values)
+        faint_template, faint_statistical = self._faint(peaks, c.usual_threshold)
         flags = Flags(
             scores.fused > c.fused_threshold,
-            scores.template > c.template_threshold and not self._faint(peaks, c.usual_threshold),
-            scores.statistical > c.statistical_threshold,
+            scores.template > c.template_threshold and not faint_template,
+            scores.statistical > c.statistical_threshold and not faint_statistical,
         )
         reliable = flags.fused and flags.template and flags.statistical
         self.unreliable_run = 0 if reliable else self.unreliable_run + 1
         if self.lost:
-            self.lost = not (reliable and not self._faint(peaks, c.found_threshold))
+            self.lost = not reliable or any(self._faint(peaks, c.found_threshold))
         elif c.lost_after and self.unreliable_run >= c.lost_after:
             self.lost = True
         status: Status = "lost" if self.lost else "tracking" if reliable else "uncertain"
@@ -73,8 +79,16 @@ class Reliability:
     def learned_from(self, peaks: Peaks) -> None:
         """The models learned from a frame with these peaks."""
         self.learned += 1
-        self.usual += (peaks.template - self.usual) / min(self.learned, self.config.usual_frames)
+        part = 1 / min(self.learned, self.config.usual_frames)
+        template, statistical = self.usual
+        self.usual = (
+            template + (peaks.template - template) * part,
+            statistical + (peaks.statistical - statistical) * part,
+        )
 
-    def _faint(self, peaks: Peaks, threshold: float) -> bool:
-        """Whether the template peak is below that part of what is usual."""
-        return self.learned >= HISTORY and peaks.template < threshold * self.usual
+    def _faint(self, peaks: Peaks, threshold: float) -> tuple[bool, bool]:
+        """Whether the template and the statistical peak are below that part of what is usual."""
+        if self.learned < HISTORY:
+            return False, False
+        template, statistical = self.usual
+        return peaks.template < threshold * template, peaks.statistical < threshold * statistical

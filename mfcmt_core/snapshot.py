@@ -53,7 +53,7 @@ def dump(config: MFCMTConfig, target: Target, frame_size: tuple[int, int]) -> by
         "scale": target.scale,
         "reliability": {
             "history": [list(peaks) for peaks in r.history],
-            "usual": r.usual,
+            "usual": list(r.usual),
             "learned": r.learned,
             "unreliable_run": r.unreliable_run,
             "lost": r.lost,
@@ -86,7 +86,7 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
         r = document["reliability"]
         reliability = {
             "history": _history(r["history"]),
-            "usual": _number(r["usual"], -1e6, 1e6),
+            "usual": _pair(r["usual"], -1e6, 1e6),
             "learned": _integer(r["learned"], 0, 1 << 62),
             "unreliable_run": _integer(r["unreliable_run"], 0, 1 << 62),
             "lost": _boolean(r["lost"]),
@@ -159,6 +159,11 @@ def _integer(value: Any, low: int, high: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise ValueError(f"{value!r} is not an integer in [{low}, {high}]")
     return value
+
+
+def _pair(value: Any, low: float, high: float) -> tuple[float, float]:
+    first, second = (_number(v, low, high) for v in value)
+    return first, second
 
 
 def _history(value: Any) -> deque[tuple[float, float, float]]:

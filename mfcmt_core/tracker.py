@@ -22,10 +22,10 @@ from .scale import ScaleModel
 from .template import Spectra, TemplateModel
 from .workspace import scratch
 
-ATTENTION = 1.5
-"""What a frame is looked at for: the search window times this. It leaves the target room to move by a quarter
+ATTENTION = 1.25
+"""What a frame is looked at for: the search window times this. It leaves the target room to move by an eighth
 of the window and still be learned with all of its surroundings; further out the border repeats."""
-MOTION_ROOM = 0.5
+MOTION_ROOM = 0.2
 """Of the target's side, on each side of the region: how far it may move in one frame in flight."""
 GREY_TOLERANCE = 1
 """Grey levels that the channels of a grey sequence may differ by."""
@@ -242,7 +242,7 @@ class MFCMT:
         for place in places:
             seen = target.observe(frame, within, place)
             found = self._detect(target, frame, seen)
-            if best is None or found.peaks.template > best[1].peaks.template:
+            if best is None or found.peaks.strength > best[1].peaks.strength:
                 best = seen, found
         assert best is not None
         if target.reliability.lost:  # a second look from there: the surroundings at their place, too

@@ -54,7 +54,7 @@ def create_app(
     lanes = lanes or local_lanes(settings)
     book = SessionBook(settings, lanes, metrics, clock)
     service = Service(settings, lanes, book, Gate(settings, clock), metrics)
-    metrics.observe_service(book.__len__, settings.capacity, lanes.status)
+    metrics.observe_service(book.__len__, settings.capacity, lanes)
 
     app = FastAPI(
         title="MFCMT",
@@ -73,7 +73,7 @@ def create_app(
     app.router.routes.append(WebSocketRoute("/v1/sessions/{session_id}/stream", StreamEndpoint(service)))
     app.add_middleware(Surroundings, service=service)
     errors.install(app)
-    openapi.install(app, routers, authenticated=bool(settings.api_keys))
+    openapi.install(app, routers, settings)
     app.state.documents = docs.Documents.of(app)
     return app
 

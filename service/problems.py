@@ -64,10 +64,10 @@ class ProblemError(Exception):
         """The HTTP status."""
         return CATALOGUE[self.code].status
 
-    def body(self) -> dict[str, Any]:
-        """The problem as RFC 9457 writes it, with its extension members."""
+    def body(self, request_id: str | None = None) -> dict[str, Any]:
+        """The problem as RFC 9457 writes it; a fault of ours is found again by its request id."""
         kind = CATALOGUE[self.code]
-        return {
+        told = {
             "type": f"/docs#{self.code}",
             "title": kind.title,
             "status": kind.status,
@@ -75,6 +75,9 @@ class ProblemError(Exception):
             "code": self.code,
             **self.members,
         }
+        if self.code == "internal" and request_id:
+            told["request_id"] = request_id
+        return told
 
 
 def session_gone(reason: str) -> ProblemError:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field
 from typing import Any
 
 from .auth import Gate
 from .lanes.interface import Lanes
 from .observability.metrics import Metrics
+from .problems import ProblemError
 from .sessions.book import SessionBook
 from .sessions.bucket import Bucket
 from .sessions.session import Session
@@ -24,6 +26,13 @@ class Service:
     gate: Gate
     metrics: Metrics
     buckets: dict[str, Bucket] = field(default_factory=dict)
+
+    def spend(self, owner: str) -> None:
+        """Count a call or handshake of this key. Raises rate-limited."""
+        now = time.monotonic()
+        bucket = self.buckets.setdefault(owner, Bucket(self.settings.max_requests_per_s, now))
+        if wait_s := bucket.take(now):
+            raise ProblemError("rate-limited", "too many calls", retry_after_s=round(wait_s, 3))
 
     def describe(self, session: Session, base_url: str) -> dict[str, Any]:
         """The Session of the protocol; ``base_url`` is how the caller reaches the service."""

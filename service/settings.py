@@ -11,12 +11,13 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from .lanes.cores import usable_cores
 
 MIB = 1024 * 1024
+TEN_YEARS_S = 3.2e8
 Secrets = Annotated[tuple[SecretStr, ...], NoDecode]
 Names = Annotated[tuple[str, ...], NoDecode]
 
 
 def _positive(default: float, description: str) -> Any:
-    return Field(default=default, gt=0, allow_inf_nan=False, description=description)
+    return Field(default=default, gt=0, le=TEN_YEARS_S, allow_inf_nan=False, description=description)
 
 
 class Settings(BaseSettings):

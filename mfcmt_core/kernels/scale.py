@@ -51,7 +51,7 @@ def sample_scales(gray, center_x, center_y, step_x, step_y, out):  # type: ignor
 def scale_hog(samples, epsilon, histogram, norms, window, out):  # type: ignore[no-untyped-def]
     """fHOG of every scale's patch, times the window over scales.
 
-    ``samples`` (h, w, lanes) with h, w multiples of 4; scratch ``histogram`` (h/4 + 1, w/4 + 1, 18, lanes)
+    ``samples`` (h, w, lanes) with h, w multiples of 4; scratch ``histogram`` (h/4, w/4, 18, lanes)
     and ``norms`` (h/4 + 1, w/4 + 1, lanes); ``window`` (lanes,); ``out`` (h/4 · w/4 · 31, lanes).
     """
     height, width, lanes = samples.shape

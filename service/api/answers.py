@@ -36,12 +36,12 @@ def answer(kind: str, status: int, content: Any, headers: Mapping[str, str] | No
     return Response(to_json(content), status, headers, JSON)
 
 
-def problem_response(problem: ProblemError) -> Response:
+def problem_response(problem: ProblemError, request_id: str) -> Response:
     """The answer to a refused call."""
     headers = dict(problem.headers)
     if "retry_after_s" in problem.members:
         headers["Retry-After"] = str(max(1, round(problem.members["retry_after_s"])))
-    return Response(to_json(problem.body()), problem.status, headers, MEDIA_TYPE)
+    return Response(to_json(problem.body(request_id)), problem.status, headers, MEDIA_TYPE)
 
 
 def _range(part: str) -> tuple[str, float]:

@@ -65,10 +65,11 @@ async def read_upload(request: Request, settings: Settings, *, raw: bool) -> Upl
         return await _form(request, settings)
     if kind == JSON:
         limit = settings.max_json_frame_bytes * 4 // 3 + ENVELOPE_BYTES
-        told = _map(kind, await read(request, limit, settings))
+        told = _map(kind, await read(request, limit, settings, "frame-too-large"))
         return Upload(_from_base64(told.pop("frame", None), settings), told)
     if kind == MSGPACK:
-        told = _map(kind, await read(request, settings.max_frame_bytes + ENVELOPE_BYTES, settings))
+        limit = settings.max_frame_bytes + ENVELOPE_BYTES
+        told = _map(kind, await read(request, limit, settings, "frame-too-large"))
         frame = told.pop("frame", None)
         if type(frame) is not bytes:
             raise ProblemError("bad-request", "frame is the image's bytes")
@@ -148,7 +149,7 @@ async def _form(request: Request, settings: Settings) -> Upload:
     class Parser(MultiPartParser):
         spool_max_size = settings.max_frame_bytes + ENVELOPE_BYTES  # frames never touch a disk
 
-    body = _bounded(request, settings.max_frame_bytes + ENVELOPE_BYTES, "body-too-large")
+    body = _bounded(request, settings.max_frame_bytes + ENVELOPE_BYTES, "frame-too-large")
     parser = Parser(request.headers, body, max_files=1, max_fields=8, max_part_size=ENVELOPE_BYTES)
     try:
         async with _in_time(settings):

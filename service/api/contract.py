@@ -76,50 +76,44 @@ _BOX_TEXT = {
     "description": "`x,y,w,h` or a JSON array",
     "pattern": r"^\d{1,4},\d{1,4},[1-9]\d{0,3},[1-9]\d{0,3}$",
 }
-_OPTIONS = ref("Options")
-_FORM_BODY = {
-    "schema": {
+_ENCODED = {"type": "string", "format": "byte", "description": "the image in base64"}
+_BINARY = {"type": "string", "format": "binary", "description": "the image; bin"}
+_IMAGE_PART = {"contentType": "image/jpeg, image/png, image/webp"}
+_BOXES = {"type": "array", "items": ref("Box"), "minItems": 1}
+_ONE_OF = [{"required": ["box"]}, {"required": ["boxes"]}]
+
+
+def _map(properties: dict[str, Any], **more: Any) -> dict[str, Any]:
+    """The schema of a map with a frame."""
+    return {
         "type": "object",
-        "properties": {
-            "frame": IMAGE,
-            "box": _BOX_TEXT,
-            "boxes": {
-                "type": "array",
-                "items": ref("Box"),
-                "minItems": 1,
-                "description": "a JSON array of boxes",
-            },
-            "options": _OPTIONS,
-        },
+        "properties": properties,
         "required": ["frame"],
         "additionalProperties": False,
-        "oneOf": [{"required": ["box"]}, {"required": ["boxes"]}],
-    },
-    "encoding": {
-        "frame": {"contentType": "image/jpeg, image/png, image/webp"},
-        "boxes": {"contentType": JSON},
-        "options": {"contentType": JSON},
-    },
+        **more,
+    }
+
+
+def _create_map(frame: dict[str, Any]) -> dict[str, Any]:
+    properties = {"frame": frame, "box": ref("Box"), "boxes": _BOXES, "options": ref("Options")}
+    return {"schema": _map(properties, oneOf=_ONE_OF), "example": examples.CREATE}
+
+
+def _frame_map(frame: dict[str, Any]) -> dict[str, Any]:
+    properties = {"frame": frame, "seq": ref("Seq"), "ts": ref("Echo"), "region": ref("Region")}
+    example = {"frame": examples.CREATE["frame"], "seq": 17, "ts": 1712.5}
+    return {"schema": _map(properties), "example": example}
+
+
+_CREATE_FORM = {
+    "schema": _map({"frame": IMAGE, "box": _BOX_TEXT, "boxes": _BOXES, "options": ref("Options")}, oneOf=_ONE_OF),
+    "encoding": {"frame": _IMAGE_PART, "boxes": {"contentType": JSON}, "options": {"contentType": JSON}},
     "example": {"frame": "(the image)", "box": "198,214,34,81", "options": {"preset": "default"}},
 }
-_MAP_BODY = {
-    "schema": {
-        "type": "object",
-        "properties": {
-            "frame": {
-                "type": "string",
-                "format": "byte",
-                "description": "the image: base64 in JSON, bin in MessagePack",
-            },
-            "box": ref("Box"),
-            "boxes": {"type": "array", "items": ref("Box"), "minItems": 1},
-            "options": _OPTIONS,
-        },
-        "required": ["frame"],
-        "additionalProperties": False,
-        "oneOf": [{"required": ["box"]}, {"required": ["boxes"]}],
-    },
-    "example": examples.CREATE,
+_FRAME_FORM = {
+    "schema": _map({"frame": IMAGE}),
+    "encoding": {"frame": _IMAGE_PART},
+    "example": {"frame": "(the image)"},
 }
 
 CREATE_SESSION = _call(
@@ -138,9 +132,9 @@ CREATE_SESSION = _call(
     "at-capacity",
     "draining",
     body={
-        FORM: _FORM_BODY,
-        JSON: _MAP_BODY,
-        MSGPACK: _MAP_BODY,
+        FORM: _CREATE_FORM,
+        JSON: _create_map(_ENCODED),
+        MSGPACK: _create_map(_BINARY),
         SNAPSHOT_TYPE: {"schema": BINARY, "example": "(what /snapshot gave)"},
     },
     parameters=[KEY],
@@ -154,30 +148,6 @@ LIST_SESSIONS = _call(
 )
 GET_SESSION = _call(200, _session_answer("the session"), *ANY_CALL, *NEGOTIATED, *ON_SESSION)
 DELETE_SESSION = _call(204, {"description": "ended"}, *ANY_CALL, "session-not-found")
-_FRAME_MAP = {
-    "schema": {
-        "type": "object",
-        "properties": {
-            "frame": {"type": "string", "format": "byte"},
-            "seq": ref("Seq"),
-            "ts": ref("Echo"),
-            "region": ref("Region"),
-        },
-        "required": ["frame"],
-        "additionalProperties": False,
-    },
-    "example": {"frame": examples.CREATE["frame"], "seq": 17, "ts": 1712.5},
-}
-_FRAME_FORM = {
-    "schema": {
-        "type": "object",
-        "properties": {"frame": IMAGE},
-        "required": ["frame"],
-        "additionalProperties": False,
-    },
-    "encoding": {"frame": {"contentType": "image/jpeg, image/png, image/webp"}},
-    "example": {"frame": "(the image)"},
-}
 _RAW_FRAME = {"schema": IMAGE, "example": "(the image)"}
 POST_FRAME = _call(
     200,
@@ -200,8 +170,8 @@ POST_FRAME = _call(
         "image/webp": _RAW_FRAME,
         "application/octet-stream": _RAW_FRAME,
         FORM: _FRAME_FORM,
-        MSGPACK: _FRAME_MAP,
-        JSON: _FRAME_MAP,
+        MSGPACK: _frame_map(_BINARY),
+        JSON: _frame_map(_ENCODED),
     },
 )
 _BOX_BODY = {"schema": ref("BoxBody"), "example": {"box": examples.BOX}}

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from typing import Annotated
 
 from fastapi import Depends
 from starlette.requests import Request
 
-from ..problems import ProblemError
 from ..service import Service
-from ..sessions.bucket import Bucket
 from ..sessions.session import Session
 from .answers import chosen_type
 from .bodies import JSON, MSGPACK
@@ -26,10 +23,7 @@ ServiceDep = Annotated[Service, Depends(_service)]
 
 def _caller(request: Request, service: ServiceDep) -> str:
     owner = service.gate.owner(request.headers)
-    now = time.monotonic()
-    bucket = service.buckets.setdefault(owner, Bucket(service.settings.max_requests_per_s, now))
-    if wait_s := bucket.take(now):
-        raise ProblemError("rate-limited", "too many calls", retry_after_s=round(wait_s, 3))
+    service.spend(owner)
     return owner
 
 

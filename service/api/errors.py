@@ -1,10 +1,9 @@
-"""Every failure of a call to a problem of the catalogue, without a word of what went on inside."""
+"""What refuses a call, in words of the catalogue; faults of ours are the middleware's to tell."""
 
 from __future__ import annotations
 
 import re
 
-import structlog
 from fastapi import FastAPI
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
@@ -16,23 +15,18 @@ from .answers import problem_response
 
 BY_STATUS = {404: "not-found", 405: "method-not-allowed", 413: "body-too-large"}
 
-log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.http")
-
 
 def install(app: FastAPI) -> None:
     """Make ``app`` answer failures with problems."""
     app.add_exception_handler(ProblemError, _problem)
     app.add_exception_handler(RequestValidationError, _validation)
     app.add_exception_handler(HTTPException, _http)
-    app.add_exception_handler(Exception, _fault)
 
 
 async def _problem(request: Request, problem: Exception) -> Response:
     assert isinstance(problem, ProblemError)
-    if problem.code == "internal":
-        problem.members["request_id"] = request.state.request_id
     request.state.problem = problem
-    return problem_response(problem)
+    return problem_response(problem, request.state.request_id)
 
 
 async def _validation(request: Request, wrong: Exception) -> Response:
@@ -50,11 +44,6 @@ async def _http(request: Request, failed: Exception) -> Response:
     if code == "method-not-allowed":
         problem.headers["Allow"] = ", ".join(_methods(request))
     return await _problem(request, problem)
-
-
-async def _fault(request: Request, fault: Exception) -> Response:
-    log.error("fault in a call", exc_info=fault)
-    return await _problem(request, ProblemError("internal", CATALOGUE["internal"].example))
 
 
 def _methods(request: Request) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query
 from starlette.requests import Request
@@ -18,6 +18,7 @@ from .answers import answer
 from .deps import Accepted, ServiceDep, SessionDep
 
 router = APIRouter(tags=["frames"])
+REGION = r"^-?[0-9]{1,7}(,-?[0-9]{1,7}){3}$"
 
 
 @router.post("/sessions/{session_id}/frames", **contract.POST_FRAME)
@@ -28,7 +29,7 @@ async def post_frame(
     accepted: Accepted,
     seq: Annotated[int | None, Query(ge=0, le=fields.MAX_SEQ, description="the frame's number")] = None,
     ts: Annotated[str | None, Query(max_length=64, description="echoed, never interpreted")] = None,
-    region: Annotated[str | None, Query(max_length=64, description="`x,y,w,h` in whole pixels")] = None,
+    region: Annotated[str | None, Query(pattern=REGION, description="`x,y,w,h` in whole pixels")] = None,
 ) -> Response:
     """Track all targets in the next frame. Frames of one session are answered one after the other."""
     arrived = time.monotonic()
@@ -36,7 +37,7 @@ async def post_frame(
     try:
         upload = await bodies.read_upload(request, service.settings, raw=True)
         service.metrics.http_frame(len(upload.frame))
-        told = _query(ts, region) | upload.fields
+        told = {"ts": ts, "region": region and [int(v) for v in region.split(",")]} | upload.fields
         number = fields.seq(told.pop("seq", seq))
         frame = Frame(upload.frame, 0, fields.echo("ts", told.pop("ts")), fields.region(told.pop("region")), arrived)
         bodies.nothing_more(told)
@@ -54,14 +55,6 @@ async def post_frame(
         session.http_waiting -= 1
     session.touched = time.monotonic()
     return answer(accepted, 200, result)
-
-
-def _query(ts: str | None, region: str | None) -> dict[str, Any]:
-    if region is None:
-        return {"ts": ts, "region": None}
-    numbers = bodies.numbers("region", region)
-    # Whole numbers stand for pixels, whatever else there is gets its refusal with the fields of bodies.
-    return {"ts": ts, "region": [int(v) if v.is_integer() else v for v in numbers]}
 
 
 def _check_free(session: Session, most: int) -> None:

@@ -12,12 +12,14 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from ..problems import ProblemError
+from ..problems import CATALOGUE, ProblemError
 from ..service import Service
 from .answers import problem_response
 
 SANE_ID = re.compile(r"[A-Za-z0-9._:/+=-]{1,128}")
-QUIET = {"/livez", "/readyz", "/metrics"}
+# Calls that come all the time are logged at debug; frames only if they are tracked.
+PROBES = {"/livez", "/readyz", "/metrics"}
+FRAMES = "/v1/sessions/{session_id}/frames"
 SAFE_HEADERS = (
     ("X-Content-Type-Options", "nosniff"),
     ("Cache-Control", "no-store"),
@@ -73,7 +75,13 @@ class Surroundings:
                 await self._app(scope, receive, answer)
         except ProblemError as refused:
             scope["state"]["problem"] = refused
-            await problem_response(refused)(scope, receive, answer)
+            await problem_response(refused, request_id)(scope, receive, answer)
+        except Exception:
+            log.exception("fault in a call")
+            if status == 0:
+                problem = ProblemError("internal", CATALOGUE["internal"].example)
+                scope["state"]["problem"] = problem
+                await problem_response(problem, request_id)(scope, receive, answer)
         finally:
             self._record(scope, status, time.monotonic() - began)
 
@@ -99,7 +107,7 @@ class Surroundings:
         if problem is not None:
             metrics.problems.labels(code=problem.code).inc()
             line |= {"code": problem.code, "detail": problem.detail}
-        write = log.debug if path in QUIET else log.info
+        write = log.debug if path in PROBES or (path == FRAMES and problem is None) else log.info
         write("call", **line, ms=round(took_s * 1e3, 3))
 
 

@@ -13,6 +13,7 @@ from pydantic import TypeAdapter
 from pydantic.json_schema import models_json_schema
 
 from ..schemas import session as shapes
+from ..settings import Settings
 
 REF = "#/components/schemas/{model}"
 MODELS = (
@@ -33,27 +34,29 @@ NAMED: dict[str, Any] = {"Box": shapes.Box, "Region": shapes.Region, "Seq": shap
 DESCRIPTION = "Visual object tracking: a session starts with a frame and a box; every later frame says where it is."
 
 
-def schemas() -> dict[str, Any]:
-    """Every schema that both contracts refer to."""
+def schemas(settings: Settings) -> dict[str, Any]:
+    """Every schema that the document refers to, with the limits of this service."""
     _, told = models_json_schema([(model, "validation") for model in MODELS], ref_template=REF)
     defined: dict[str, Any] = told["$defs"]
     for name, kind in NAMED.items():
         defined[name] = TypeAdapter(kind).json_schema(ref_template=REF)
+    defined["TicketBody"]["properties"]["ttl_s"]["anyOf"][0]["maximum"] = settings.max_ticket_s
+    defined["Options"]["properties"]["idle_timeout_s"]["anyOf"][0]["maximum"] = settings.max_idle_timeout_s
     return defined
 
 
-def install(app: FastAPI, routers: Mapping[str, Sequence[APIRouter]], *, authenticated: bool) -> None:
+def install(app: FastAPI, routers: Mapping[str, Sequence[APIRouter]], settings: Settings) -> None:
     """Make ``app.openapi()`` give the document; ``routers`` are those of the calls, by their prefix."""
 
     def document() -> dict[str, Any]:
         if app.openapi_schema is None:
-            app.openapi_schema = _document(app, routers, authenticated)
+            app.openapi_schema = _document(app, routers, settings)
         return app.openapi_schema
 
     app.openapi = document  # type: ignore[method-assign]
 
 
-def _document(app: FastAPI, routers: Mapping[str, Sequence[APIRouter]], authenticated: bool) -> dict[str, Any]:
+def _document(app: FastAPI, routers: Mapping[str, Sequence[APIRouter]], settings: Settings) -> dict[str, Any]:
     told = get_openapi(title="MFCMT", version=version("mfcmt"), description=DESCRIPTION, routes=app.routes)
     for prefix, some in routers.items():
         for router in some:
@@ -62,8 +65,8 @@ def _document(app: FastAPI, routers: Mapping[str, Sequence[APIRouter]], authenti
                     for method in route.methods or ():
                         _restore(told["paths"][prefix + route.path][method.lower()], route)
     components = told.setdefault("components", {})
-    components["schemas"] = schemas()
-    if authenticated:
+    components["schemas"] = schemas(settings)
+    if settings.api_keys:
         components["securitySchemes"] = {
             "bearer": {"type": "http", "scheme": "bearer"},
             "apiKey": {"type": "apiKey", "in": "header", "name": "X-API-Key"},

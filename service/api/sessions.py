@@ -25,13 +25,13 @@ KEY = re.compile(r"[\x21-\x7e]{1,255}")
 async def create_session(request: Request, service: ServiceDep, caller: Caller, accepted: Accepted) -> Response:
     """Make a session from its first frame and one or more boxes, or restore one from a snapshot."""
     settings = service.settings
-    if bodies.media_type(request) == bodies.SNAPSHOT:
-        snapshot = await bodies.read(request, settings.max_snapshot_bytes, settings)
-        session = await service.book.restore(caller, snapshot)
-        return _made(request, service, session, accepted)
     key = request.headers.get("idempotency-key")
     if key is not None and not KEY.fullmatch(key):
         raise ProblemError("bad-request", "Idempotency-Key is 1 to 255 printable characters")
+    if bodies.media_type(request) == bodies.SNAPSHOT:
+        snapshot = await bodies.read(request, settings.max_snapshot_bytes, settings)
+        session = await service.book.restore(caller, snapshot, key)
+        return _made(request, service, session, accepted)
     upload = await bodies.read_upload(request, settings, raw=False)
     told = upload.fields
     boxes = bodies.boxes(told)
@@ -50,7 +50,7 @@ async def list_sessions(
     service: ServiceDep,
     caller: Caller,
     accepted: Accepted,
-    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+    limit: Annotated[int, Query(ge=1, le=100)] = 50,
     after: Annotated[str, Query(pattern="^[0-9]{0,18}$", description="`next` of the page before")] = "",
 ) -> Response:
     """The caller's own sessions, oldest first."""

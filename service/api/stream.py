@@ -60,6 +60,7 @@ class StreamEndpoint:
             receive,
             send,
             scope["extensions"].get(ABORT_EXTENSION, lambda: None),
+            scope["state"]["request_id"],
         )
         if session.attachment is not None:
             session.attachment.end(4409, "attached elsewhere")
@@ -77,6 +78,7 @@ class StreamEndpoint:
         service.gate.check_origin(headers)
         sid = scope["path_params"]["session_id"]
         owner = service.gate.redeem(scope["subprotocols"], sid) or service.gate.owner(headers)
+        service.spend(owner)
         if service.book.draining:
             raise ProblemError("draining", "the service is going away", retry_after_s=service.settings.drain_grace_s)
         query = parse_qs(scope["query_string"].decode("latin-1"))
@@ -118,7 +120,7 @@ class StreamEndpoint:
         self._service.metrics.problems.labels(code=problem.code).inc()
         log.info("stream refused", code=problem.code)
         if "origin" not in headers and "websocket.http.response" in scope["extensions"]:
-            response = problem_response(problem)
+            response = problem_response(problem, scope["state"]["request_id"])
             await send(
                 {
                     "type": "websocket.http.response.start",
@@ -130,7 +132,7 @@ class StreamEndpoint:
             return
         # A browser's script cannot see the status of a refused handshake, but it sees this.
         await send({"type": "websocket.accept", "subprotocol": selected})
-        await send(codec.write({"type": "error", "problem": problem.body()}))
+        await send(codec.write({"type": "error", "problem": problem.body(scope["state"]["request_id"])}))
         code = CLOSE_CODES.get(problem.code, 1011)
         await send({"type": "websocket.close", "code": code, "reason": problem.code})
         while (await receive())["type"] != "websocket.disconnect":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 from collections import Counter
@@ -10,9 +11,8 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
-from mfcmt_core.cli.media import MediaError, open_source
-
 from mfcmt_core.cli import UsageError
+from mfcmt_core.cli.media import MediaError, open_source
 
 from ..client import Client, ClientError, Frame, Result
 from ..load.clips import Box, encode, open_clip, parse_box
@@ -50,7 +50,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--frames is at least 2")
     if args.fps is not None and not 0 < args.fps <= MAX_FPS:
         raise UsageError(f"--fps is above 0 and at most {MAX_FPS:g}")
-    show = _live if sys.stdout.isatty() else print
+    # On a terminal each result takes the place of the one before.
+    before, after = ("\r\x1b[K", "") if sys.stdout.isatty() else ("", "\n")
     try:
         first, frames, box, fps = _open(args)
         with ExitStack() as stack:
@@ -62,11 +63,13 @@ def run(args: argparse.Namespace) -> int:
             tally = _Tally()
             stream = stack.enter_context(session.stream(_paced(frames, args.fps or fps), mode=args.mode))
             for result in stream:
-                show(tally.line(result))
-            print(tally.summary())
+                print(f"{before}{tally.line(result)}", end=after, flush=True)
+            print(f"{before}{tally.summary()}")
     except (ClientError, ServerFailed, MediaError) as failed:
         print(f"mfcmt demo: {failed}", file=sys.stderr)
         return 1
+    except BrokenPipeError:  # the reader has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
 
@@ -133,11 +136,6 @@ class _Tally:
             f"{len(self._latency_ms)} results in {seconds:.1f} s ({told}; {self._dropped} dropped), "
             f"round trip p50 {p50:.1f} ms, p95 {p95:.1f} ms"
         )
-
-
-def _live(line: str) -> None:
-    """On a terminal each result takes the place of the one before."""
-    print(f"\r\x1b[K{line}", end="", flush=True)
 
 
 def _box(box: Box) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import json
 import re
 import sys
@@ -17,7 +16,7 @@ from ..load.clips import Clip, open_clip
 from ..load.drive import Pace
 from ..load.own import OwnServer, ServerFailed
 from ..load.report import measure
-from ..load.run import Outcome, load
+from ..load.run import Outcome, load, run_loop
 from ..load.text import of_report, of_run
 
 MAX_SESSIONS, MAX_FPS, MAX_SECONDS, MAX_FRAMES = 1024, 10_000.0, 3600.0, 300
@@ -98,10 +97,10 @@ def _load(args: argparse.Namespace, clip: Clip) -> Outcome:
     pace = Pace(args.seconds, args.fps, mode, args.in_flight, f"mfcmt.v1.{args.protocol}")  # type: ignore[arg-type]
     paces = [pace] * args.sessions
     if args.url:
-        return asyncio.run(load(args.url, clip, paces, key=args.key))[0]
+        return run_loop(load(args.url, clip, paces, key=args.key))[0]
     settings = {} if args.lanes is None else {"lanes": args.lanes}
     with OwnServer(max_sessions_per_lane=args.sessions, **settings) as server:
-        return asyncio.run(load(server.url, clip, paces, front=server.pid))[0]
+        return run_loop(load(server.url, clip, paces, front=server.pid))[0]
 
 
 def _check(args: argparse.Namespace) -> None:

@@ -27,12 +27,20 @@ ATTEMPTS, RETRY_DELAY_S = 3, 0.1
 class AsyncClient:
     """A client of one service. All calls raise :class:`Problem` and :class:`ConnectionLost`.
 
-    ``url`` is the service's base URL, ``key`` an API key, ``timeout_s`` the limit of one call.
+    ``url`` is the service's base URL, ``key`` an API key, ``timeout_s`` the limit of one call. A stream whose
+    server answers no ping for ``ping_interval_s`` counts as broken.
     """
 
-    def __init__(self, url: str = "http://127.0.0.1:8000", *, key: str | None = None, timeout_s: float = 30.0) -> None:
+    def __init__(
+        self,
+        url: str = "http://127.0.0.1:8000",
+        *,
+        key: str | None = None,
+        timeout_s: float = 30.0,
+        ping_interval_s: float = 20.0,
+    ) -> None:
         headers = {} if key is None else {"Authorization": f"Bearer {key}"}
-        self.address = Address(url.rstrip("/"), headers, timeout_s=timeout_s)
+        self.address = Address(url.rstrip("/"), headers, ping_interval_s, timeout_s)
         self._http = httpx2.AsyncClient(base_url=self.address.url, headers=headers, timeout=timeout_s)
         self._streams: WeakSet[AsyncStream[Any]] = WeakSet()
 

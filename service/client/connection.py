@@ -28,8 +28,8 @@ class Address:
 
     url: str
     headers: Mapping[str, str]
-    ping_interval_s: float = 20.0
-    timeout_s: float = 10.0
+    ping_interval_s: float
+    timeout_s: float
 
     def stream(self, session_id: str, query: Mapping[str, str]) -> str:
         base = "ws" + self.url.removeprefix("http")

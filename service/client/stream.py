@@ -48,6 +48,7 @@ class AsyncStream(Generic[T]):
         self._missed = missed
         self._connection: Connection | None = None
         self._ready: Ready | None = None
+        self._starting = asyncio.Lock()
         self._up = asyncio.Event()
         self._room = asyncio.Event()
         self._arrived: asyncio.Queue[Result | ClientError | None] = asyncio.Queue()
@@ -128,14 +129,16 @@ class AsyncStream(Generic[T]):
             await connection.close()
 
     async def _start(self) -> None:
-        if self._tasks or self._ended:
-            return
-        connection, ready = await self._attachment.open()
-        self._next_seq, self._last_seq = ready.next_seq, ready.session.seq
-        self._stand(connection, ready)
-        self._tasks = [asyncio.create_task(self._run(connection))]
-        if self._frames is not None:
-            self._tasks.append(asyncio.create_task(self._pump(self._frames)))
+        async with self._starting:
+            if self._tasks or self._ended:
+                return
+            connection, ready = await self._attachment.open()
+            self._connection, self._ready = connection, ready
+            self._next_seq, self._last_seq = ready.next_seq, ready.session.seq
+            self._stand(ready)
+            self._tasks = [asyncio.create_task(self._run(connection))]
+            if self._frames is not None:
+                self._tasks.append(asyncio.create_task(self._pump(self._frames)))
 
     async def _run(self, connection: Connection) -> None:
         """Receive, and attach again whenever the connection breaks."""
@@ -146,32 +149,41 @@ class AsyncStream(Generic[T]):
                         self._dispatch(await connection.receive())
                 except ConnectionLost as lost:
                     self._fall(lost)
-                pause_s, self._pause_s = self._pause_s, 0.0
-                connection, ready = await self._attachment.reopen(self.ready, pause_s)
-                await self._take_up(connection, ready)
+                connection = await self._resume()
         except ClientError as end:
             self._end(end)
         except Exception as broken:
             self._end(ClientError(f"what the server said cannot be read: {broken!r}"), broken)
 
+    async def _resume(self) -> Connection:
+        """A new connection on which the stream goes on; raises what forbids it."""
+        while True:
+            pause_s, self._pause_s = self._pause_s, 0.0
+            connection, ready = await self._attachment.reopen(self.ready, pause_s)
+            self._connection, self._ready = connection, ready
+            try:
+                await self._take_up(connection, ready)
+            except ConnectionLost:
+                await connection.close()
+            else:
+                return connection
+
     async def _take_up(self, connection: Connection, ready: Ready) -> None:
-        """Go on after a break: fetch the results that were missed, send again what was not tracked."""
-        self._connection = connection
+        """Fetch the results that were missed, send again what was not tracked."""
         if any(seq <= ready.session.seq for seq in self._unanswered):
             for result in await self._missed(self._last_seq):
                 self._dispatch(result)
-        again = [frame for _, frame in sorted(self._unanswered.items(), key=lambda item: item[0])]
+        again = sorted(self._unanswered.items())
         if self._latest:
             again = again[-1:]
         self._unanswered.clear()
         self._next_seq = max(self._next_seq, ready.next_seq)
-        for source, frame in again:
+        for _, (source, frame) in again:
             await self._send_on(connection, source, replace(frame, seq=None))
-        self._stand(connection, ready)
+        self._stand(ready)
         self._end_if_done()
 
-    def _stand(self, connection: Connection, ready: Ready) -> None:
-        self._connection, self._ready = connection, ready
+    def _stand(self, ready: Ready) -> None:
         self.region = ready.session.region
         self._up.set()
         self._room.set()
@@ -271,6 +283,8 @@ class AsyncStream(Generic[T]):
                 self._arrived.put_nowait(message)
             case Problem(ref=int(ref)) if ref in self._controls:
                 self._controls.pop(ref).set_exception(message)
+                if message.code == "full-frame-needed":
+                    self.region = message.region
             case Problem():
                 self._refuse(message)
             case Targets(ref=ref):

@@ -41,9 +41,9 @@ class _Loop:
 class Client:
     """A client of one service; see :class:`AsyncClient`, whose calls it has without ``await``."""
 
-    def __init__(self, url: str = "http://127.0.0.1:8000", *, key: str | None = None, timeout_s: float = 30.0) -> None:
+    def __init__(self, url: str = "http://127.0.0.1:8000", **options: Any) -> None:
         self._loop = _Loop()
-        self._client = AsyncClient(url, key=key, timeout_s=timeout_s)
+        self._client = AsyncClient(url, **options)
 
     def __enter__(self) -> Self:
         return self

@@ -47,19 +47,19 @@ class Flags:
 
 @dataclass(frozen=True, slots=True)
 class Scores:
-    """Each peak over its mean of the last ten frames; ``psr`` of the fused map."""
+    """Each peak over its mean of the last ten frames."""
 
     fused: float
     template: float
     statistical: float
-    psr: float | None
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A target in one frame; ``reliable``, ``flags`` and ``scores`` are None where it started.
+    """A target in one frame; ``reliable``, ``flags``, ``scores`` and ``psr`` are None where it started.
 
-    ``maps`` holds its response maps as PNG images by name, where the session was made with ``maps``.
+    ``psr`` is the peak-to-sidelobe ratio of the fused map. ``maps`` holds the response maps as PNG images by
+    name, where the session was made with ``maps``.
     """
 
     id: int
@@ -68,6 +68,7 @@ class Target:
     reliable: bool | None
     flags: Flags | None
     scores: Scores | None
+    psr: float | None
     updated: bool
     scale: float
     maps: Mapping[str, bytes] | None = None
@@ -81,7 +82,8 @@ class Target:
             wire["status"],
             wire.get("reliable"),
             Flags(flags["fused"], flags["template"], flags["statistical"]) if flags else None,
-            Scores(scores["fused"], scores["template"], scores["statistical"], wire.get("psr")) if scores else None,
+            Scores(scores["fused"], scores["template"], scores["statistical"]) if scores else None,
+            wire.get("psr"),
             bool(wire.get("updated", False)),
             float(wire.get("scale", 1.0)),
             {name: _bytes(image) for name, image in maps.items()} if maps else None,

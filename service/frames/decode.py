@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import simplejpeg
 
-from .header import FrameError, FrameInfo, FrameLimits, inspect
+from .header import FrameError, FrameInfo, FrameLimits, Kind, inspect
 
 Image = npt.NDArray[np.uint8]
 
@@ -36,10 +36,7 @@ def decode(data: bytes, limits: FrameLimits) -> tuple[Image, FrameInfo]:
     """
     info = inspect(data, limits)
     try:
-        if info.kind == "jpeg":
-            image = _cmyk(data) if info.cmyk else _jpeg(data, info.grey)
-        else:
-            image = _other(data, info)
+        image = _READ[info.kind](data, info)
     except (ValueError, MemoryError, cv2.error) as refused:
         raise FrameError("frame-undecodable", f"the {info.kind} image is damaged") from refused
     if info.orientation != 1:
@@ -49,9 +46,11 @@ def decode(data: bytes, limits: FrameLimits) -> tuple[Image, FrameInfo]:
     return image, info
 
 
-def _jpeg(data: bytes, grey: bool) -> Image:
-    image: Image = simplejpeg.decode_jpeg(data, "GRAY" if grey else "BGR")
-    return image.reshape(image.shape[:2]) if grey else image
+def _jpeg(data: bytes, info: FrameInfo) -> Image:
+    if info.cmyk:
+        return _cmyk(data)
+    image: Image = simplejpeg.decode_jpeg(data, "GRAY" if info.grey else "BGR")
+    return image.reshape(image.shape[:2]) if info.grey else image
 
 
 def _cmyk(data: bytes) -> Image:
@@ -62,9 +61,13 @@ def _cmyk(data: bytes) -> Image:
     return cast(Image, image)
 
 
-def _other(data: bytes, info: FrameInfo) -> Image:
-    if info.kind == "png" and not _sound(data):
+def _png(data: bytes, info: FrameInfo) -> Image:
+    if not _sound(data):
         raise ValueError("checksum")
+    return _opencv(data, info)
+
+
+def _opencv(data: bytes, info: FrameInfo) -> Image:
     mode = cv2.IMREAD_GRAYSCALE if info.grey else cv2.IMREAD_COLOR
     image = cv2.imdecode(np.frombuffer(data, np.uint8), mode | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
@@ -82,3 +85,6 @@ def _sound(png: bytes) -> bool:
             return False
         at = end + 4
     return True
+
+
+_READ: dict[Kind, Callable[[bytes, FrameInfo], Image]] = {"jpeg": _jpeg, "png": _png, "webp": _opencv}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 Buffers = Sequence[bytes | memoryview]
@@ -42,14 +42,21 @@ LaneEvent = KeysLost | LaneReady
 
 @dataclass(frozen=True, slots=True)
 class LaneStatus:
-    """A lane as the metrics show it: memory in bytes, CPU time in seconds since its process started."""
+    """A lane as the front sees it at any moment."""
 
     lane: int
     ready: bool
     keys: int
-    rss_bytes: int = 0
-    cpu_s: float = 0.0
-    versions: dict[str, str] = field(default_factory=dict)
+    versions: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class LaneUsage:
+    """What a lane's process uses: resident memory, and CPU time since it started."""
+
+    lane: int
+    rss_bytes: int
+    cpu_s: float
 
 
 class Lanes(Protocol):
@@ -78,3 +85,6 @@ class Lanes(Protocol):
 
     def status(self) -> list[LaneStatus]:
         """Every lane."""
+
+    def usage(self) -> list[LaneUsage]:
+        """What every lane uses; asks the system, so not for every call."""

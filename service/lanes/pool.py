@@ -6,19 +6,20 @@ import asyncio
 import atexit
 import contextlib
 import multiprocessing
-import time
 from collections.abc import AsyncIterator, Mapping
 from multiprocessing import forkserver
 from typing import Any
 
-from .interface import AtCapacity, Buffers, KeysLost, LaneEvent, LaneLost, LaneReady, LaneStatus
+from .interface import AtCapacity, Buffers, KeysLost, LaneEvent, LaneLost, LaneReady, LaneStatus, LaneUsage
 from .process import LaneProcess
 from .usage import cpu_s, rss_bytes
 
 WATCH_EVERY_S = 0.1
 STOP_S = 2.0
-# A lane that lives shorter than this counts as a crash in a row; each doubles the wait for the next start.
-STEADY_S = 10.0
+# A lane that lives shorter than this crashes in a row with the one before. The first two are replaced at
+# once; from then on each doubles the wait.
+STEADY_S = 2.0
+PATIENCE = 2
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.1, 10.0
 
 
@@ -95,10 +96,11 @@ class LanePool:
 
     def status(self) -> list[LaneStatus]:
         """Every lane."""
-        return [
-            LaneStatus(lane.number, lane.ready, len(lane.keys), rss_bytes(lane.pid), cpu_s(lane.pid), lane.versions)
-            for lane in self._lanes
-        ]
+        return [LaneStatus(lane.number, lane.ready, len(lane.keys), lane.versions) for lane in self._lanes]
+
+    def usage(self) -> list[LaneUsage]:
+        """What every lane uses."""
+        return [LaneUsage(lane.number, rss_bytes(lane.pid), cpu_s(lane.pid)) for lane in self._lanes]
 
     def _new(self, number: int) -> LaneProcess:
         return LaneProcess(number, on_ready=self._ready, on_lost=self._lost)
@@ -126,10 +128,10 @@ class LanePool:
         for key in lane.keys:
             del self._homes[key]
         self._events.put_nowait(KeysLost(lane.number, cause, tuple(lane.keys)))
-        steady = time.monotonic() - lane.started_at > STEADY_S
+        steady = bool(lane.versions) and lane.lasted_s() > STEADY_S
         self._crashes[lane.number] = 0 if steady else self._crashes[lane.number] + 1
         crashes = self._crashes[lane.number]
-        wait_s = min(FIRST_WAIT_S * 2**crashes, LONGEST_WAIT_S) if crashes > 1 else 0.0
+        wait_s = min(FIRST_WAIT_S * 2 ** (crashes - PATIENCE), LONGEST_WAIT_S) if crashes > PATIENCE else 0.0
         self._lanes[lane.number] = self._new(lane.number)
         self._spawn(self._begin(self._lanes[lane.number], wait_s))
 
@@ -139,7 +141,7 @@ class LanePool:
             for lane in self._lanes:
                 if lane.overdue_s() > self._deadline_s:
                     lane.kill(hung=True)
-                elif lane.pid and not lane.ready and time.monotonic() - lane.started_at > self._start_timeout_s:
+                elif lane.pid and not lane.ready and lane.lasted_s() > self._start_timeout_s:
                     lane.kill()
 
     def _kill_all(self) -> None:

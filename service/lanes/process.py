@@ -46,7 +46,7 @@ class LaneProcess(asyncio.Protocol):
         self.ready = False
         self.lost = False
         self.versions: dict[str, str] = {}
-        self.started_at = time.monotonic()
+        self.since = time.monotonic()
         self._on_ready = on_ready
         self._on_lost = on_lost
         self._queue: FairQueue[Call] = FairQueue()
@@ -60,6 +60,7 @@ class LaneProcess(asyncio.Protocol):
 
     async def start(self, context: ForkServerContext, config: Mapping[str, Any]) -> None:
         """Fork the worker. The first fork waits for the fork server to load and warm the tracker."""
+        self.since = time.monotonic()
         ours, theirs = socket.socketpair()
         with theirs:
             # multiprocessing pickles these arguments for its own child at the start; nothing is later.
@@ -69,6 +70,10 @@ class LaneProcess(asyncio.Protocol):
             await asyncio.to_thread(process.start)
         self._process = process
         await asyncio.get_running_loop().create_unix_connection(lambda: self, sock=ours)
+
+    def lasted_s(self) -> float:
+        """Seconds in the state that it is in: starting, or ready."""
+        return time.monotonic() - self.since
 
     @property
     def pid(self) -> int | None:
@@ -146,6 +151,7 @@ class LaneProcess(asyncio.Protocol):
     def _hello(self, payload: bytes) -> None:
         self.versions = msgpack.unpackb(payload)
         self.ready = True
+        self.since = time.monotonic()
         self._on_ready(self)
 
     def _reply(self, number: int, payload: bytes) -> None:

@@ -11,7 +11,7 @@ from mfcmt_core import MFCMT, BadBox, RegionTooSmall, TrackResult
 from ..frames.decode import Image
 from .rows import Rect
 
-INSIDE_AT_LEAST = 0.25
+SIDE_AT_LEAST_PX = 1.0
 
 
 class Refused(Exception):
@@ -39,13 +39,12 @@ class View:
         """``tracker`` started or corrected here. Raises Refused."""
         x, y, w, h = box
         width, height = self.frame_size
-        inside = max(0.0, min(x + w, width) - max(x, 0.0)) * max(0.0, min(y + h, height) - max(y, 0.0))
-        if not inside >= INSIDE_AT_LEAST * w * h:
-            raise Refused("bad-box", "less than a quarter of the box is in the frame")
+        if min(w, h) < SIDE_AT_LEAST_PX:
+            raise Refused("bad-box", "a side of the box is less than a pixel")
         try:
             return tracker.init(self.image, (x, y, w, h), offset=self.offset, frame_size=self.frame_size)
         except BadBox as bad:
-            raise Refused("bad-box", str(bad)) from bad
+            raise Refused("bad-box", "less than a quarter of the box is in the frame") from bad
         except RegionTooSmall as cut:
             whole = [0, 0, width, height]
             raise Refused("full-frame-needed", "send the whole frame", region=whole) from cut

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,12 +11,13 @@ import numpy as np
 
 from mfcmt_core import MFCMT, synthetic
 
-from ..frames.decode import Image, decode
+from ..frames.decode import decode
 from .clips import LIMITS, Clip, encode, images_of, open_clip
 from .drive import quantile
 
 LAG_FRAMES = 1
-SMALL_TARGET_PX = 50.0
+VGA = (640, 480)
+SMALL_TARGET_PX = (45.0, 55.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +26,7 @@ class Saving:
 
     name: str
     size: tuple[int, int]
-    target: tuple[float, float]
+    target_px: float
     frames: int
     p10: float
     p50: float
@@ -32,50 +34,48 @@ class Saving:
     mean: float
 
 
-def of_clip(clip: Clip, every: int) -> Saving:
-    """The saving over ``clip``, weighed on each ``every``-th frame."""
-    return _saving(clip.name, (decode(frame, LIMITS)[0] for frame in clip.frames), clip.box, every)
+def savings(clips: Iterable[Clip], every: int) -> list[Saving]:
+    """The saving over each clip at VGA, and first over all frames together whose target is small there.
+
+    Each ``every``-th frame is weighed. ``target_px`` is the mean root of the target's area.
+    """
+    told, small = [], []
+    for clip in clips:
+        frames = list(_shares(clip.resized(VGA), every))
+        told.append(_saving(clip.name, frames))
+        small += [frame for frame in frames if SMALL_TARGET_PX[0] <= frame[0] <= SMALL_TARGET_PX[1]]
+    return [_saving("small targets", small), *told]
 
 
-def of_sequences(root: Path, every: int, most: int) -> list[Saving]:
-    """The saving over each folder of images in ``root``."""
-    folders = sorted(folder for folder in root.iterdir() if folder.is_dir() and images_of(folder))
-    return [of_clip(open_clip(folder, None, most), every) for folder in folders]
+def clips_in(root: Path, most: int) -> Iterator[Clip]:
+    """The first ``most`` frames of each folder of images in ``root``."""
+    for folder in sorted(root.iterdir()):
+        if folder.is_dir() and images_of(folder):
+            yield open_clip(folder, None, most)
 
 
-def of_small_target() -> Saving:
-    """The saving for a target of 50 × 50 pixels in a rendered VGA clip."""
-    sequence = synthetic.clip("sample", target=(SMALL_TARGET_PX, SMALL_TARGET_PX), zoom=1.0, length=120)
+def small_target_clip(length: int) -> Clip:
+    """A rendered VGA clip with a target of 50 × 50 pixels."""
+    sequence = synthetic.clip("sample", target=(50.0, 50.0), zoom=1.0, length=length)
     x, y, w, h = map(float, sequence.boxes[0])
-    return _saving("50 px at VGA", sequence.frames, (x, y, w, h), 1)
+    return Clip("rendered", [encode(frame) for frame in sequence.frames], (x, y, w, h))
 
 
-def _saving(name: str, images: Iterable[Image], box: tuple[float, float, float, float], every: int) -> Saving:
-    ratios = list(_ratios(images, box, every))
-    shares = [ratio for ratio, _ in ratios]
-    size = ratios[0][1] if ratios else (0, 0)
-    return Saving(
-        name,
-        size,
-        (box[2], box[3]),
-        len(shares),
-        quantile(shares, 0.1),
-        quantile(shares, 0.5),
-        quantile(shares, 0.9),
-        float(np.mean(shares)) if shares else float("nan"),
-    )
-
-
-def _ratios(
-    images: Iterable[Image], box: tuple[float, float, float, float], every: int
-) -> Iterator[tuple[float, tuple[int, int]]]:
+def _shares(clip: Clip, every: int) -> Iterator[tuple[float, float]]:
+    """The root of the target's area, and the share of the bytes that the next frame's region has."""
     tracker = MFCMT()
-    for index, image in enumerate(images):
-        if index == 0:
-            tracker.init(image, box)
-            continue
-        if index % every == 0:
+    _, _, width, height = clip.box
+    for index, frame in enumerate(clip.frames):
+        image, _ = decode(frame, LIMITS)
+        if index and index % every == 0:
             x, y, w, h = tracker.region(LAG_FRAMES)
-            cut = len(encode(np.ascontiguousarray(image[y : y + h, x : x + w]))) if w and h else 0
-            yield cut / len(encode(image)), (image.shape[1], image.shape[0])
-        tracker.update(image)
+            cut = encode(np.ascontiguousarray(image[y : y + h, x : x + w]))
+            yield math.sqrt(width * height), len(cut) / len(encode(image))
+        _, _, width, height = (tracker.update(image) if index else tracker.init(image, clip.box)).box
+
+
+def _saving(name: str, frames: list[tuple[float, float]]) -> Saving:
+    sides, shares = [side for side, _ in frames], [share for _, share in frames]
+    p10, p50, p90 = (quantile(shares, share) for share in (0.1, 0.5, 0.9))
+    count = max(1, len(frames))
+    return Saving(name, VGA, sum(sides) / count, len(frames), p10, p50, p90, sum(shares) / count)

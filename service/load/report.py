@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable
 from contextlib import AsyncExitStack
 from dataclasses import asdict, dataclass, field
@@ -13,13 +12,14 @@ from ..client import AsyncClient
 from .clips import Clip
 from .drive import Pace
 from .own import OwnServer
-from .regions import Saving, of_clip, of_sequences, of_small_target
-from .run import Outcome, load
+from .regions import Saving, clips_in, savings, small_target_clip
+from .run import Outcome, load, run_loop
 from .usage import MB, Usage, server_usage
 from .work import Work, in_process, lane_rates
 
 MEMORY_SESSIONS = 16
 NEIGHBOUR_FPS = 30.0
+REGION_FRAMES, REGION_EVERY = 300, 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ def measure(clip: Clip, seconds: float, sequences: Path | None, say: Callable[[s
         report.after_load = server_usage(server.pid)
     with OwnServer(lanes=1) as server:
         say("memory of sessions")
-        session_mb = asyncio.run(_session_bytes(server, clip)) / MB
+        session_mb = run_loop(_session_bytes(server, clip)) / MB
         say("a session at 30 frames/s, alone")
         steady = Pace(seconds, fps=NEIGHBOUR_FPS, mode="latest")
         report.runs["alone"] = _load(server, clip, steady)
@@ -86,13 +86,13 @@ def measure(clip: Clip, seconds: float, sequences: Path | None, say: Callable[[s
         say(f"{lanes} lane(s) without a front")
         report.lane_rates[str(lanes)] = lane_rates(clip, lanes, seconds)
     say("regions")
-    small = of_small_target()
-    report.savings = [small, *(of_sequences(sequences, 5, 300) if sequences else [of_clip(clip, 1)])]
-    report.targets = _targets(report, session_mb, small)
+    clips = clips_in(sequences, REGION_FRAMES) if sequences else [clip, small_target_clip(REGION_FRAMES)]
+    report.savings = savings(clips, REGION_EVERY)
+    report.targets = _targets(report, session_mb)
     return report
 
 
-def _targets(report: Report, session_mb: float, small: Saving) -> list[Target]:
+def _targets(report: Report, session_mb: float) -> list[Target]:
     wall_ms = sum(work.wall_ms for work in report.work) / len(report.work)
     cpu_ms = sum(work.cpu_ms for work in report.work) / len(report.work)
     runs = report.runs
@@ -104,7 +104,7 @@ def _targets(report: Report, session_mb: float, small: Saving) -> list[Target]:
         Target("p95 at twice the sustainable rate, over the work", runs["overload"].p95_ms / wall_ms, 2.5, "x"),
         Target("p95 beside a flood, over alone", runs["beside"].p95_ms / runs["alone"].p95_ms, 2.0, "x"),
         Target("memory of a session in its lane", session_mb, 4.0, "MB"),
-        Target("bytes of a region, 50 px at VGA", small.p50, 0.2, "x"),
+        Target("bytes of a region, 50 px at VGA", report.savings[0].p50, 0.2, "x"),
     ]
 
 
@@ -113,7 +113,7 @@ def _load(server: OwnServer, clip: Clip, pace: Pace) -> Outcome:
 
 
 def _load_all(server: OwnServer, clip: Clip, paces: list[Pace]) -> list[Outcome]:
-    return asyncio.run(load(server.url, clip, paces, front=server.pid))
+    return run_loop(load(server.url, clip, paces, front=server.pid))
 
 
 async def _session_bytes(server: OwnServer, clip: Clip) -> float:

@@ -73,9 +73,9 @@ def _work(work: Work) -> str:
 
 
 def _saving(saving: Saving) -> str:
-    (w, h), (width, height) = saving.target, saving.size
-    what = f"{w:.0f}x{h:.0f} in {width}x{height}"
-    return f"  {saving.name:<18}{what:<24} {saving.p10:5.2f} {saving.p50:5.2f} {saving.p90:5.2f} {saving.mean:5.2f}"
+    target = f"{saving.target_px:.0f} px at {saving.size[0]}x{saving.size[1]}"
+    numbers = "".join(f"{value:6.2f}" for value in (saving.p10, saving.p50, saving.p90, saving.mean))
+    return f"  {saving.name:<18}{target:<24}{numbers}"
 
 
 def _target(target: Target) -> str:

@@ -69,12 +69,11 @@ def lane_rates(clip: Clip, lanes: int, seconds: float) -> list[float]:
 
 
 async def _lane_rates(clip: Clip, count: int, seconds: float) -> list[float]:
+    from ..app import local_lanes
     from ..lanes.interface import LaneReady
-    from ..lanes.pool import LanePool
-    from ..sessions.config import lane_config
     from ..settings import Settings
 
-    pool = LanePool(count, 1, lane_config(Settings()), deadline_s=60.0, start_timeout_s=180.0)
+    pool = local_lanes(Settings(lanes=count))
     await pool.start()
     try:
         events = pool.events()

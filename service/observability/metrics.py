@@ -14,10 +14,10 @@ from prometheus_client import (
     ProcessCollector,
     generate_latest,
 )
-from prometheus_client.core import GaugeMetricFamily, Metric
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from ..lanes.interface import LaneStatus
+from ..lanes.interface import Lanes
 
 SECONDS = (0.0005, 0.001, 0.002, 0.003, 0.005, 0.0075, 0.01, 0.02, 0.03, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5)
 
@@ -88,9 +88,7 @@ class Metrics:
         self.track_seconds.observe(track_s)
         self.total_seconds.observe(total_s)
 
-    def observe_service(
-        self, sessions: Callable[[], int], capacity: int, lanes: Callable[[], list[LaneStatus]]
-    ) -> None:
+    def observe_service(self, sessions: Callable[[], int], capacity: int, lanes: Lanes) -> None:
         """Read these whenever the metrics are asked for."""
         self.registry.register(_Service(sessions, capacity, lanes))
 
@@ -100,7 +98,7 @@ class Metrics:
 
 
 class _Service(Collector):
-    def __init__(self, sessions: Callable[[], int], capacity: int, lanes: Callable[[], list[LaneStatus]]) -> None:
+    def __init__(self, sessions: Callable[[], int], capacity: int, lanes: Lanes) -> None:
         self._sessions, self._capacity, self._lanes = sessions, capacity, lanes
 
     def collect(self) -> Iterator[Metric]:
@@ -108,16 +106,16 @@ class _Service(Collector):
         yield GaugeMetricFamily("mfcmt_sessions_active", "Sessions in the book", self._sessions())
         yield GaugeMetricFamily("mfcmt_sessions_capacity", "Sessions that there is room for", self._capacity)
         rss = GaugeMetricFamily("mfcmt_lane_rss_bytes", "Resident memory of a lane", labels=["lane"])
-        cpu = GaugeMetricFamily("mfcmt_lane_cpu_seconds", "CPU time of a lane's process", labels=["lane"])
+        cpu = CounterMetricFamily("mfcmt_lane_cpu_seconds", "CPU time of a lane's process", labels=["lane"])
         keys = GaugeMetricFamily("mfcmt_lane_sessions", "Sessions in a lane", labels=["lane"])
         ready = GaugeMetricFamily("mfcmt_lane_ready", "1 when a lane takes sessions", labels=["lane"])
-        statuses = self._lanes()
+        statuses = self._lanes.status()
         for status in statuses:
-            lane = [str(status.lane)]
-            rss.add_metric(lane, status.rss_bytes)
-            cpu.add_metric(lane, status.cpu_s)
-            keys.add_metric(lane, status.keys)
-            ready.add_metric(lane, float(status.ready))
+            keys.add_metric([str(status.lane)], status.keys)
+            ready.add_metric([str(status.lane)], float(status.ready))
+        for usage in self._lanes.usage():
+            rss.add_metric([str(usage.lane)], usage.rss_bytes)
+            cpu.add_metric([str(usage.lane)], usage.cpu_s)
         yield from (rss, cpu, keys, ready)
         told = next((status.versions for status in statuses if status.versions), {})
         names = ["version", "opencv", "numpy"]

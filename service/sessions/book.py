@@ -7,7 +7,7 @@ import contextlib
 import hashlib
 import secrets
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
@@ -81,41 +81,31 @@ class SessionBook:
         return page, page[-1].ordinal if len(mine) > limit else None
 
     async def create(
-        self, owner: str, data: bytes, boxes: list[list[float]], options: Options, idempotency_key: str | None
+        self, owner: str, data: bytes, boxes: list[list[float]], options: Options, key: str | None
     ) -> Session:
-        """A session that has started on its first frame; the same one for the same key and content."""
-        if idempotency_key is None:
-            return await self._create(owner, data, boxes, options)
-        name = f"{owner} {idempotency_key}"
-        fingerprint = await asyncio.to_thread(_fingerprint, data, boxes, options)
-        known = self._creations.get(name)
-        if known is not None:
-            if known.fingerprint != fingerprint:
-                raise ProblemError("bad-request", "the Idempotency-Key was used with another body")
-            session = await asyncio.shield(known.session)
-            return self.find(owner, session.id)
-        future: asyncio.Future[Session] = asyncio.get_running_loop().create_future()
-        self._creations.put(name, Creation(fingerprint, future))
-        try:
-            session = await self._create(owner, data, boxes, options)
-        except BaseException as failed:
-            # A refused creation may be tried again; whoever waits for this one gets the same answer.
-            self._creations.pop(name)
-            future.set_exception(failed if isinstance(failed, ProblemError) else ProblemError("internal", "failed"))
-            future.exception()
-            raise
-        future.set_result(session)
-        return session
+        """A session that has started on its first frame; the same one for the same ``key`` and content."""
 
-    async def restore(self, owner: str, snapshot: bytes) -> Session:
-        """A session that goes on from a snapshot, under a new id."""
-        session = self._open(owner, Options("default", "reject", None, False, self._settings.idle_timeout_s))
-        with self._undone_on_error(session):
-            told = await session.resume(snapshot)
-            session.options = Options(
-                told["preset"], told["on_resize"], told["label"], told["maps"], told["idle_timeout_s"]
-            )
-        return session
+        async def make() -> Session:
+            session = self._open(owner, options)
+            with self._undone_on_error(session):
+                await session.begin(data, boxes)
+            return session
+
+        return await self._once(owner, key, data, repr((boxes, options)), make)
+
+    async def restore(self, owner: str, snapshot: bytes, key: str | None) -> Session:
+        """A session that goes on from a snapshot, under a new id; the same one for the same ``key``."""
+
+        async def make() -> Session:
+            session = self._open(owner, Options("default", "reject", None, False, self._settings.idle_timeout_s))
+            with self._undone_on_error(session):
+                told = await session.resume(snapshot)
+                session.options = Options(
+                    told["preset"], told["on_resize"], told["label"], told["maps"], told["idle_timeout_s"]
+                )
+            return session
+
+        return await self._once(owner, key, snapshot, "snapshot", make)
 
     def end(self, session: Session, reason: str) -> None:
         """End a session: ``closed``, ``idle``, ``expired`` or ``lost``."""
@@ -180,10 +170,31 @@ class SessionBook:
             else:
                 log.info("lane ready", lane=event.lane)
 
-    async def _create(self, owner: str, data: bytes, boxes: list[list[float]], options: Options) -> Session:
-        session = self._open(owner, options)
-        with self._undone_on_error(session):
-            await session.begin(data, boxes)
+    async def _once(
+        self, owner: str, key: str | None, data: bytes, rest: str, make: Callable[[], Awaitable[Session]]
+    ) -> Session:
+        if key is None:
+            return await make()
+        name = f"{owner} {key}"
+        fingerprint = await asyncio.to_thread(_fingerprint, data, rest)
+        known = self._creations.get(name)
+        if known is not None:
+            if known.fingerprint != fingerprint:
+                raise ProblemError("bad-request", "the Idempotency-Key was used with another body")
+            session = await asyncio.shield(known.session)
+            return self.find(owner, session.id)
+        future: asyncio.Future[Session] = asyncio.get_running_loop().create_future()
+        self._creations.put(name, Creation(fingerprint, future))
+        try:
+            session = await make()
+        except BaseException as failed:
+            # A refused creation may be tried again; whoever waits for this one gets the same answer.
+            self._creations.pop(name)
+            told = failed if isinstance(failed, ProblemError) else ProblemError("internal", "failed")
+            future.set_exception(told)
+            future.exception()
+            raise
+        future.set_result(session)
         return session
 
     def _open(self, owner: str, options: Options) -> Session:
@@ -256,7 +267,7 @@ class SessionBook:
         return [s.attachment for s in self._sessions.values() if s.attachment is not None]
 
 
-def _fingerprint(data: bytes, boxes: list[list[float]], options: Options) -> bytes:
-    digest = hashlib.sha256(repr((boxes, options)).encode())
+def _fingerprint(data: bytes, rest: str) -> bytes:
+    digest = hashlib.sha256(rest.encode())
     digest.update(data)
     return digest.digest()

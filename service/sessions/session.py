@@ -15,10 +15,9 @@ from ..lanes.interface import LaneHung, LaneLost, Lanes
 from ..lanes.wire import decode_reply, encode_call
 from ..observability.metrics import Metrics
 from ..problems import ProblemError, session_gone
+from ..schemas.fields import MAX_SEQ
 from . import wiring
 from .trajectory import Entry, Trajectory
-
-MAX_SEQ = 2**53 - 1
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.session")
 
@@ -95,6 +94,8 @@ class Session:
         """The number of a frame message, the client's own or the next. Raises stale-frame."""
         if seq is None:
             seq = self.last_number + 1
+            if seq > MAX_SEQ:
+                raise ProblemError("stale-frame", "no number is left above the last")
         elif seq <= self.last_number:
             raise ProblemError("stale-frame", f"seq {seq} is not above {self.last_number}")
         self.last_number = seq
@@ -154,7 +155,12 @@ class Session:
     async def control(self, control: Mapping[str, Any]) -> tuple[dict[str, Any] | None, list[int] | None]:
         """Add, correct or remove a target on the newest frame: the target, if it is there, and the region."""
         async with self._turn:
-            state = await self._call("control", control)
+            try:
+                state = await self._call("control", control)
+            except ProblemError as refused:
+                if refused.code == "full-frame-needed":
+                    self.region = refused.members["region"]
+                raise
             self._take(state)
             if control["type"] != "remove":
                 self.trajectory.amend(self.rows, self.region)

@@ -33,7 +33,8 @@ log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.stream")
 class StreamAttachment:
     """From ``ready`` to the close; the session lives on.
 
-    ``receive`` and ``send`` are those of ASGI, ``abort`` cuts the connection.
+    ``receive`` and ``send`` are those of ASGI, ``abort`` cuts the connection; a fault of ours is told with
+    the ``request_id`` of the handshake.
     """
 
     def __init__(
@@ -46,11 +47,13 @@ class StreamAttachment:
         receive: Callable[[], Awaitable[Event]],
         send: Callable[[Event], Awaitable[None]],
         abort: Callable[[], None],
+        request_id: str,
     ) -> None:
         self.name = secrets.token_urlsafe(NAME_BYTES)
         self._session, self._codec, self._flow = session, codec, flow
         self._settings, self._metrics = settings, metrics
         self._receive, self._asgi_send, self._abort = receive, send, abort
+        self._request_id = request_id
         self._bucket = Bucket(settings.max_messages_per_s, time.monotonic())
         self._refused_in_a_row = 0
         self._ending = False
@@ -68,6 +71,10 @@ class StreamAttachment:
             if not self._ending:
                 self._pump_task = asyncio.create_task(self._pump())
             await self._read()
+        except Exception:
+            log.exception("fault in a stream", session=self._session.id)
+            self._ending = True
+            await self._asgi({"type": "websocket.close", "code": 1011, "reason": "internal"})
         finally:
             self._metrics.streams.dec()
             if self._session.attachment is self:
@@ -241,7 +248,7 @@ class StreamAttachment:
     def _error(self, problem: ProblemError, *, seq: int | None = None, ref: Echo = None) -> dict[str, Any]:
         self._metrics.refused_message(problem.code, frame=seq is not None)
         log.info("message refused", session=self._session.id, seq=seq, code=problem.code, detail=problem.detail)
-        message: dict[str, Any] = {"type": "error", "problem": problem.body()}
+        message: dict[str, Any] = {"type": "error", "problem": problem.body(self._request_id)}
         if seq is not None:
             message["seq"] = seq
         if ref is not None:

@@ -54,7 +54,7 @@ class JsonCodec:
             return FrameMessage(data, meta)
         text = event["text"]
         if len(text) > self._max_text:
-            raise ProblemError("body-too-large", f"text of {len(text)} characters; at most {self._max_text}")
+            raise Unreadable(f"text above {self._max_text} characters")
         message = from_json(text)
         if not isinstance(message, dict):
             raise Unreadable("a message is a map")

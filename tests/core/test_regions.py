@@ -85,6 +85,12 @@ def test_at_the_border(box, preset, frames):
     compare(PRESETS[preset], frames[:5], box)
 
 
+def test_where_the_scales_look_further_than_the_window(frames, clip):
+    """Their cut ends where the region does."""
+    config = MFCMTConfig.default().replace(window="target", search_area_scale=1.2, num_scales=5, scale_step=1.5)
+    compare(config, frames[:8], clip.boxes[0])
+
+
 @pytest.mark.parametrize("preset", PRESETS)
 def test_after_corrections(preset, frames, clip):
     corrections = [(4, (200.0, 100.0, 30.0, 60.0)), (7, (-5.0, 180.0, 40.0, 40.0)), (10, tuple(clip.boxes[10]))]

@@ -111,21 +111,29 @@ def test_found_again_where_the_peak_is_again_what_is_usual():
     verdict = see(judge, (1, 0.59, 1))  # high against the last ten, not against what was usual
     assert verdict.flags.template
     assert (verdict.status, verdict.reliable) == ("lost", False)
+    verdict = see(judge, (1, 0.9, 0.59))  # the colours are not what they were
+    assert (verdict.status, verdict.reliable) == ("lost", False)
     verdict = see(judge, (1, 0.9, 1))
     assert (verdict.status, verdict.reliable) == ("tracking", True)
     assert not judge.lost
     assert judge.unreliable_run == 0
 
 
-def test_usual_threshold_keeps_the_gate_closed_while_the_ten_frame_mean_sinks():
+@pytest.mark.parametrize("cue", [1, 2])
+def test_usual_threshold_keeps_the_gate_closed_while_the_ten_frame_mean_sinks(cue):
+    """Of the template peak and of the statistical one."""
     judge = after([(1, 1, 1)] * 20, PAPER.replace(usual_threshold=0.5))
-    assert not any(see(judge, (1, 0.3, 1)).reliable for _ in range(40))
-    assert see(judge, (1, 0.6, 1)).reliable
+
+    def peaks(height):
+        return [height if k == cue else 1 for k in range(3)]
+
+    assert not any(see(judge, peaks(0.3)).reliable for _ in range(40))
+    assert see(judge, peaks(0.6)).reliable
 
 
 def test_usual_is_a_mean_over_learned_frames_only():
     judge = after([(1, 1, 1)] * 20, PAPER.replace(usual_frames=10))
-    see(judge, (1, 0.01, 1))
-    assert judge.usual == pytest.approx(1)
-    see(judge, (1, 2.0, 1))
-    assert judge.usual == pytest.approx(1.1)
+    see(judge, (1, 0.01, 0.01))
+    assert judge.usual == pytest.approx((1, 1))
+    see(judge, (1, 2.0, 1.5))
+    assert judge.usual == pytest.approx((1.1, 1.05))

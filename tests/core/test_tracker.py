@@ -72,8 +72,16 @@ def test_an_occlusion_closes_the_gate():
     assert clear.count("tracking") > 0.9 * len(clear)
 
 
-@pytest.mark.parametrize("config", [ALERT, MFCMTConfig.paper().replace(lost_after=8)], ids=["alert", "paper"])
-@pytest.mark.parametrize("grey", [False, True])
+@pytest.mark.parametrize(
+    ("config", "grey"),
+    [
+        (DEFAULT, False),
+        (ALERT, False),
+        (ALERT, True),
+        (MFCMTConfig.paper().replace(lost_after=8), False),
+        (MFCMTConfig.paper().replace(lost_after=8), True),
+    ],
+)
 def test_a_target_that_leaves_is_lost_and_found_again(config, grey):
     sequence = synthetic.clip("leaves", grey=grey)
     tracker = MFCMT(config)
@@ -87,23 +95,25 @@ def test_a_target_that_leaves_is_lost_and_found_again(config, grey):
             if results[-2].status == "lost":
                 assert results[-1].box == results[-2].box
     statuses = [r.status for r in results]
-    middle = statuses[70:90]  # nothing of it is in the frame
-    assert not sequence.shown[70:90].any()
+    middle = statuses[75:92]  # nothing of it is in the frame
+    assert not sequence.shown[75:92].any()
     assert middle.count("lost") == len(middle)
     assert statuses[-1] == "tracking"
     assert overlap(boxes_of(results), sequence.boxes)[-20:].min() > 0.6
 
 
-def test_a_target_is_found_again_elsewhere():
-    """It leaves to the right and comes back at the left: only the search over the whole frame finds it."""
+@pytest.mark.parametrize("config", [ALERT, MFCMTConfig.paper().replace(lost_after=8)], ids=["alert", "paper"])
+@pytest.mark.parametrize("place", [(8, 5), (40, 30), (60, 150), (230, 20)])
+def test_a_target_is_found_again_elsewhere(config, place):
+    """It vanishes and comes back far away: only the search over the whole frame finds it."""
     sequence = synthetic.clip("motion", grain=1.0)
     x, y, w, h = np.rint(sequence.boxes[0]).astype(int)
     shown = sequence.frames[0]
     empty = shown.copy()
     empty[y - 2 : y + h + 2, x - 2 : x + w + 2] = shown[:48, 250:310]
     moved = empty.copy()
-    moved[5 : 5 + h, 8 : 8 + w] = shown[y : y + h, x : x + w]
-    tracker = MFCMT(ALERT)
+    moved[place[1] : place[1] + h, place[0] : place[0] + w] = shown[y : y + h, x : x + w]
+    tracker = MFCMT(config)
     tracker.init(shown, (x, y, w, h))
     for _ in range(15):
         tracker.update(shown)
@@ -111,7 +121,27 @@ def test_a_target_is_found_again_elsewhere():
     assert statuses[-1] == "lost"
     results = [tracker.update(moved) for _ in range(10)]
     assert results[-1].status == "tracking"
-    assert overlap(boxes_of(results[-1:]), np.array([[8.0, 5, w, h]]))[0] > 0.6
+    assert overlap(boxes_of(results[-1:]), np.array([[*place, w, h]], float))[0] > 0.6
+
+
+def test_colours_alone_find_a_target_again():
+    green = np.full((240, 320, 3), (40, 120, 40), np.uint8)
+    config = ALERT.replace(features=(), num_scales=1, lost_after=3)
+
+    def frame(x, y):
+        image = green.copy()
+        image[y : y + 40, x : x + 40] = (30, 30, 220)
+        return image
+
+    tracker = MFCMT(config)
+    tracker.init(frame(40, 40), (40, 40, 40, 40))
+    for _ in range(12):
+        tracker.update(frame(40, 40))
+    statuses = [tracker.update(green).status for _ in range(6)]
+    assert statuses[-1] == "lost"
+    results = [tracker.update(frame(250, 180)) for _ in range(5)]
+    assert results[-1].status == "tracking"
+    assert overlap(boxes_of(results[-1:]), np.array([[250.0, 180, 40, 40]]))[0] > 0.6
 
 
 # --- targets and frames of every shape ---

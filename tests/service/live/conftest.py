@@ -1,55 +1,37 @@
-"""A real server in a process of its own, real frames, and its log."""
+"""The Python client against a real server, and what that server logs."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import AbstractAsyncContextManager, contextmanager
 from typing import Any
 
 import pytest
 
 from service.client import AsyncClient
-from service.load.clips import Clip, open_clip, sample
 from service.load.own import OwnServer
-from tests.conftest import OTB_ROOT
+from tests.service.wire.conftest import Stream, Wire
 
 Serve = Callable[..., OwnServer]
-
-
-@pytest.fixture(scope="session")
-def clip() -> Clip:
-    """The first frames of a real sequence where there is one, else of the rendered clip."""
-    david = OTB_ROOT / "David"
-    return open_clip(david, None, 60) if david.is_dir() else sample(60)
-
-
-@pytest.fixture(scope="session")
-def server() -> Iterator[OwnServer]:
-    """Two lanes with the default limits; shared, so no test may leave a session behind that others notice."""
-    with OwnServer(lanes=2, max_sessions_per_lane=32, log_level="debug") as own:
-        yield own
+MSGPACK, JSON = "mfcmt.v1.msgpack", "mfcmt.v1.json"
 
 
 @pytest.fixture
-def serve() -> Iterator[Serve]:
-    """Servers with other settings, ended with the test."""
-    with ExitStack() as stack:
-
-        def start(**settings: object) -> OwnServer:
-            return stack.enter_context(OwnServer(**{"lanes": 1, "drain_grace_s": 0.2} | settings))
-
-        yield start
-
-
-@pytest.fixture
-async def client(server: OwnServer) -> Any:
+async def client(server: OwnServer) -> AsyncIterator[AsyncClient]:
     async with AsyncClient(server.url, timeout_s=10) as opened:
         yield opened
 
 
+def attach(
+    server: OwnServer, session_id: str, protocol: str = MSGPACK, **query: str
+) -> AbstractAsyncContextManager[Stream]:
+    """A bare stream, for what a well-behaved client would never send."""
+    return Wire(server).stream(session_id, protocols=[protocol], **{"mode": "lossless"} | query)
+
+
 class Log:
-    """What a server logs within a ``with watch(server)`` block."""
+    """What a server logs from now on."""
 
     def __init__(self, server: OwnServer) -> None:
         self._server = server
@@ -71,4 +53,4 @@ def watch(server: OwnServer) -> Iterator[Log]:
     log = Log(server)
     yield log
     assert "Traceback" not in log.text
-    assert not [record for record in log.lines() if record.get("level") in ("error", "critical")]
+    assert not log.lines(level="error")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import dataclasses
 import subprocess
 import sys
 from collections.abc import AsyncIterator, Iterator
@@ -31,6 +30,9 @@ from .cable import Cable
 from .conftest import Serve, watch
 from .test_main_job import assert_same, in_process
 
+# Notices a dead connection within half a second.
+IMPATIENT = {"ping_interval_s": 0.25, "timeout_s": 5.0}
+
 
 async def paced(clip: Clip, fps: float, start: int = 1) -> AsyncIterator[bytes]:
     for frame in clip.frames[start:]:
@@ -40,12 +42,6 @@ async def paced(clip: Clip, fps: float, start: int = 1) -> AsyncIterator[bytes]:
 
 async def drained(stream: AsyncStream[Any]) -> list[Result]:
     return [result async for result in stream]
-
-
-def impatient(client: AsyncClient) -> AsyncClient:
-    """Notices a dead connection within half a second."""
-    client.address = dataclasses.replace(client.address, ping_interval_s=0.25, timeout_s=5)
-    return client
 
 
 async def test_lossless_through_cuts(server: OwnServer, clip: Clip) -> None:
@@ -87,33 +83,37 @@ async def test_latest_through_cuts(server: OwnServer, clip: Clip) -> None:
 
 
 async def test_takes_over_its_own_dead_connection(server: OwnServer, clip: Clip) -> None:
-    async with Cable(server.port) as cable, AsyncClient(cable.url) as client:
-        impatient(client)
-        async with await client.create(clip.frames[0], clip.box) as session:
-            results = []
-            async for result in session.stream(paced(clip, 30), mode="lossless"):
-                results.append(result)
-                if len(results) == 10:
-                    cable.go_dead()
-            said = in_process(clip, [clip.box])
-            assert [r.target.box for r in results] == [one[0].box for one in said]
+    async with (
+        Cable(server.port) as cable,
+        AsyncClient(cable.url, **IMPATIENT) as client,
+        await client.create(clip.frames[0], clip.box) as session,
+    ):
+        results = []
+        async for result in session.stream(paced(clip, 30), mode="lossless"):
+            results.append(result)
+            if len(results) == 10:
+                cable.go_dead()
+        said = in_process(clip, [clip.box])
+        assert [r.target.box for r in results] == [one[0].box for one in said]
 
 
 async def test_leaves_others_alone(server: OwnServer, client: AsyncClient, clip: Clip) -> None:
     """Whoever took the session over while our connection was dead keeps it."""
-    async with Cable(server.port) as cable, AsyncClient(cable.url) as ours:
-        impatient(ours)
-        async with await ours.create(clip.frames[0], clip.box) as session:
-            stream = session.stream(paced(clip, 30), mode="lossless", reconnect_for_s=3)
-            await anext(stream)
-            cable.go_dead()
-            other = (await client.session(session.id)).stream(mode="lossless", takeover=True)
-            async with other:
-                with pytest.raises(Problem) as refused:
-                    await drained(stream)
-                assert refused.value.code == "attached-elsewhere"
-                await other.send(clip.frames[1])
-                assert (await anext(other)).target.status
+    async with (
+        Cable(server.port) as cable,
+        AsyncClient(cable.url, **IMPATIENT) as ours,
+        await ours.create(clip.frames[0], clip.box) as session,
+    ):
+        stream = session.stream(paced(clip, 30), mode="lossless", reconnect_for_s=3)
+        await anext(stream)
+        cable.go_dead()
+        other = (await client.session(session.id)).stream(mode="lossless", takeover=True)
+        async with other:
+            with pytest.raises(Problem) as refused:
+                await drained(stream)
+            assert refused.value.code == "attached-elsewhere"
+            await other.send(clip.frames[1])
+            assert (await anext(other)).target.status
 
 
 async def test_told_that_it_was_taken_over(client: AsyncClient, clip: Clip) -> None:
@@ -224,8 +224,8 @@ async def test_a_reader_that_pauses_is_not_flooded(client: AsyncClient, clip: Cl
         assert seqs == list(range(1, 40))
 
 
-async def test_a_server_that_comes_back_without_the_session(serve: Serve, clip: Clip) -> None:
-    server = serve()
+async def test_a_server_that_comes_back_without_the_session(own_server: Serve, clip: Clip) -> None:
+    server = own_server(drain_grace_s=0.2)
     async with AsyncClient(server.url) as client:
         session = await client.create(clip.frames[0], clip.box)
         stream = session.stream(paced(clip, 20), mode="lossless", reconnect_for_s=30)
@@ -237,8 +237,8 @@ async def test_a_server_that_comes_back_without_the_session(serve: Serve, clip: 
         assert gone.value.code == "session-not-found"
 
 
-async def test_a_server_that_does_not_come_back(serve: Serve, clip: Clip) -> None:
-    server = serve()
+async def test_a_server_that_does_not_come_back(own_server: Serve, clip: Clip) -> None:
+    server = own_server(drain_grace_s=0.2)
     async with AsyncClient(server.url, timeout_s=2) as client:
         session = await client.create(clip.frames[0], clip.box)
         stream = session.stream(paced(clip, 20), mode="lossless", reconnect_for_s=0.5)

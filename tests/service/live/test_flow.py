@@ -10,59 +10,36 @@ from typing import Any
 
 import msgpack
 import pytest
-from websockets.exceptions import InvalidStatus
 
+from mfcmt_core import MFCMT
 from service.client import AsyncClient, Problem, Result
-from service.load.clips import Clip
+from service.frames.decode import decode
+from service.load.clips import LIMITS, Clip
 from service.load.own import OwnServer
-from service.load.usage import server_processes, usage
+from service.load.usage import usage
+from tests.service.wire.conftest import Stream
 
-from .conftest import Serve, watch
-from .raw import MSGPACK, Raw, attach
+from .conftest import MSGPACK, Serve, attach, watch
 from .test_main_job import assert_same, in_process
 
 PING = {"ping_interval_s": 0.4, "ping_timeout_s": 0.4}
 
 
-async def results_of(raw: Raw, last: int) -> list[Result]:
+async def results_of(stream: Stream, last: int) -> list[Result]:
     """All messages up to the result of frame ``last``."""
     results = []
     while not results or results[-1].seq < last:
-        said = await raw.receive()
-        assert said["type"] == "result", said
-        results.append(Result.of(said))
+        results.append(Result.of(await stream.hear("result")))
     return results
-
-
-async def test_latest_keeps_the_newest(server: OwnServer, client: AsyncClient, clip: Clip) -> None:
-    """Whatever is sent at once, the first and the last are tracked, and every other is counted."""
-    async with (
-        await client.create(clip.frames[0], clip.box) as session,
-        attach(server, session.id, mode="latest") as raw,
-    ):
-        for burst in range(5):
-            last = (burst + 1) * 40
-            for index in range(40):
-                await raw.frame(clip.frames[1 + index], ts=index)
-            results = await results_of(raw, last)
-            assert results[-1].ts == 39
-            assert len(results) + sum(r.dropped for r in results) == 40
-            assert sum(r.dropped for r in results) > 0
-        past = await session.trajectory()
-        assert len(past) == 1 + len({r.seq for r in past} - {0})
 
 
 async def test_latest_tracks_what_it_says(server: OwnServer, client: AsyncClient, clip: Clip) -> None:
     """The boxes are those of the library on the very frames that were not dropped."""
-    from mfcmt_core import MFCMT
-    from service.frames.decode import decode
-    from service.load.clips import LIMITS
-
     async with await client.create(clip.frames[0], clip.box) as session:
-        async with attach(server, session.id, mode="latest") as raw:
+        async with attach(server, session.id, mode="latest") as stream:
             for frame in clip.frames[1:]:
-                await raw.frame(frame)
-            results = await results_of(raw, len(clip.frames) - 1)
+                await stream.frame(frame)
+            results = await results_of(stream, len(clip.frames) - 1)
         tracker = MFCMT()
         tracker.init(decode(clip.frames[0], LIMITS)[0], clip.box)
         for result in results:
@@ -73,15 +50,15 @@ async def test_a_bad_frame_does_not_replace_a_good_one(server: OwnServer, client
     """What fails the checks of size and type is refused at once; what waits goes on waiting."""
     async with (
         await client.create(clip.frames[0], clip.box) as session,
-        attach(server, session.id, mode="latest") as raw,
+        attach(server, session.id, mode="latest") as stream,
     ):
         for _ in range(5):
-            await raw.frame(clip.frames[1])
-            await raw.frame(clip.frames[2], ts="last")
-            await raw.frame(b"no image")
+            await stream.frame(clip.frames[1])
+            await stream.frame(clip.frames[2], ts="last")
+            await stream.frame(b"no image")
             said, refused = [], 0
             while not (refused and said and said[-1]["ts"] == "last"):
-                message = await raw.receive()
+                message = await stream.hear()
                 if message["type"] == "error":
                     assert message["problem"]["code"] == "unsupported-image"
                     refused += 1
@@ -89,88 +66,47 @@ async def test_a_bad_frame_does_not_replace_a_good_one(server: OwnServer, client
                     said.append(message)
 
 
-async def test_lossless_credit(server: OwnServer, client: AsyncClient, clip: Clip) -> None:
-    """One frame above the credit is refused and not queued; all others are answered, in order."""
-    async with await client.create(clip.frames[0], clip.box) as session, attach(server, session.id) as raw:
-        sent = 40
-        for index in range(sent):
-            await raw.frame(clip.frames[1 + index % 50])
-        answered, refused = [], []
-        while len(answered) + len(refused) < sent:
-            said = await raw.receive()
-            if said["type"] == "result":
-                answered.append(said["seq"])
-            else:
-                assert said["problem"]["code"] == "over-credit"
-                assert said["problem"]["status"] == 429
-                assert said["problem"]["retry_after_s"] > 0
-                refused.append(said["seq"])
-        assert answered == sorted(answered)
-        assert sorted(answered + refused) == list(range(1, sent + 1))
-        assert answered[:4] == [1, 2, 3, 4]
-        assert refused
-
-
-async def test_pings_are_answered_under_load(serve: Serve, clip: Clip) -> None:
+async def test_pings_are_answered_under_load(own_server: Serve, clip: Clip) -> None:
     """Short pings, three times as many frames as can be tracked, for many ping intervals."""
-    server = serve(**PING)
+    server = own_server(**PING)
     with watch(server):
         async with (
             AsyncClient(server.url) as client,
             await client.create(clip.frames[0], clip.box) as session,
-            attach(server, session.id, mode="latest") as raw,
+            attach(server, session.id, mode="latest") as stream,
         ):
             end = time.monotonic() + 4
             results = 0
 
             async def read() -> None:
                 nonlocal results
-                async for _ in raw.socket:
+                async for _ in stream.socket:
                     results += 1
 
             reading = asyncio.create_task(read())
             index = 0
             while time.monotonic() < end:
                 index += 1
-                await raw.frame(clip.frames[index % 60])
+                await stream.frame(clip.frames[index % 60])
                 if index % 20 == 0:
-                    await asyncio.wait_for(await raw.socket.ping(), 2)
+                    await asyncio.wait_for(await stream.socket.ping(), 2)
                     await asyncio.sleep(0)
             assert not reading.done()
             assert results > 50
             reading.cancel()
 
 
-async def test_a_slow_lane_does_not_end_the_stream(serve: Serve, clip: Clip) -> None:
+async def test_a_slow_lane_does_not_end_the_stream(own_server: Serve, clip: Clip) -> None:
     """A lossless client whose credit is used up sends nothing for long; the connection stands."""
-    server = serve(**PING, credit_frames=1)
+    server = own_server(**PING, credit_frames=1)
     async with (
         AsyncClient(server.url) as client,
         await client.create(clip.frames[0], clip.box) as session,
-        attach(server, session.id) as raw,
+        attach(server, session.id) as stream,
     ):
         await asyncio.sleep(2)
-        await raw.frame(clip.frames[1])
-        assert (await raw.receive())["seq"] == 1
-
-
-async def test_one_attachment_at_a_time(server: OwnServer, client: AsyncClient, clip: Clip) -> None:
-    async with await client.create(clip.frames[0], clip.box) as session:
-        async with attach(server, session.id) as first:
-            assert (await session.refresh()).attached
-            with pytest.raises(InvalidStatus) as denied:
-                async with attach(server, session.id):
-                    pass
-            assert denied.value.response.status_code == 409
-            with pytest.raises(Problem) as refused:
-                await session.track(clip.frames[1])
-            assert refused.value.code == "attached-elsewhere"
-            async with attach(server, session.id, takeover="true") as second:
-                assert await first.closed() == 4409
-                await second.frame(clip.frames[1])
-                assert_same(Result.of(await second.receive()).target, in_process(clip, [clip.box])[0][0])
-        assert not (await session.refresh()).attached
-        await session.track(clip.frames[2])
+        await stream.frame(clip.frames[1])
+        assert (await stream.hear())["seq"] == 1
 
 
 async def test_takeover_keeps_what_is_in_work(server: OwnServer, client: AsyncClient, clip: Clip) -> None:
@@ -179,33 +115,16 @@ async def test_takeover_keeps_what_is_in_work(server: OwnServer, client: AsyncCl
         said = in_process(clip, [clip.box])
         reached = 0
         for _ in range(10):
-            async with attach(server, session.id, takeover="true", ready=False) as raw:
-                ready = await raw.receive()
-                reached = ready["session"]["seq"]
-                assert ready["next_seq"] > reached
+            async with attach(server, session.id, takeover="true") as stream:
+                reached = stream.ready["session"]["seq"]
+                assert stream.ready["next_seq"] > reached
                 for index in range(3):
-                    await raw.frame(clip.frames[reached + 1 + index], seq=reached + 1 + index)
+                    await stream.frame(clip.frames[reached + 1 + index], seq=reached + 1 + index)
         async with attach(server, session.id, takeover="true"):
             past = await session.trajectory(after=0)
         assert [r.seq for r in past] == list(range(1, len(past) + 1))
         assert [r.target.box for r in past] == [one[0].box for one in said[: len(past)]]
         assert len(past) >= reached
-
-
-async def test_changes_over_http_are_told_to_the_stream(server: OwnServer, client: AsyncClient, clip: Clip) -> None:
-    async with await client.create(clip.frames[0], clip.box) as session, attach(server, session.id) as raw:
-        added = await session.add_target(clip.box)
-        told = await raw.receive()
-        assert told["type"] == "targets"
-        assert "ref" not in told or told["ref"] is None
-        assert [t["id"] for t in told["targets"]] == [0, 1]
-        assert told["region"] == list(added.region or ())
-        await session.correct_target(1, clip.box)
-        assert (await raw.receive())["targets"][1]["scale"] == 1
-        await session.remove_target(1)
-        assert [t["id"] for t in (await raw.receive())["targets"]] == [0]
-        await session.close()
-        assert await raw.closed() == 1000
 
 
 def _handshake(server: OwnServer, session_id: str) -> socket.socket:
@@ -254,9 +173,9 @@ async def test_a_client_that_vanishes(
             assert_same(result.target, in_process(clip, [clip.box])[seq][0])
 
 
-async def test_a_client_that_never_reads(serve: Serve, clip: Clip) -> None:
+async def test_a_client_that_never_reads(own_server: Serve, clip: Clip) -> None:
     """It is cut off, the front's memory stays, its neighbour notices nothing and the session lives on."""
-    server = serve(send_timeout_s=1.0, max_messages_per_s=100_000)
+    server = own_server(send_timeout_s=1.0, max_messages_per_s=100_000)
     with watch(server) as log:
         async with AsyncClient(server.url) as client:
             deaf = await client.create(clip.frames[0], clip.box)
@@ -265,10 +184,10 @@ async def test_a_client_that_never_reads(serve: Serve, clip: Clip) -> None:
             plain = await asyncio.to_thread(_handshake, server, deaf.id)
             plain.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             flood = asyncio.create_task(asyncio.to_thread(_flood, plain))
-            async with attach(server, neighbour.id) as raw:
+            async with attach(server, neighbour.id) as stream:
                 for index in range(1, 40):
-                    await raw.frame(clip.frames[index])
-                    assert (await raw.receive())["seq"] == index
+                    await stream.frame(clip.frames[index])
+                    assert (await stream.hear())["seq"] == index
             await asyncio.wait_for(flood, 30)
             plain.close()
             give_up = time.monotonic() + 10
@@ -292,34 +211,13 @@ def _flood(plain: socket.socket) -> None:
     raise AssertionError("the server let it go on")
 
 
-async def test_message_rate(serve: Serve, clip: Clip) -> None:
-    """A burst is allowed, the rest refused with rate-limited, and who goes on is closed with 4429."""
-    server = serve(max_messages_per_s=50, max_refused_messages=30)
-    with watch(server):
-        async with AsyncClient(server.url) as client:
-            session = await client.create(clip.frames[0], clip.box)
-            async with attach(server, session.id) as raw:
-                for _ in range(60):
-                    await raw.send({"type": "remove", "target": 9})
-                codes = [(await raw.problem())["code"] for _ in range(60)]
-                assert codes.count("target-not-found") >= 50
-                assert set(codes) == {"target-not-found", "rate-limited"}
-                await asyncio.sleep(0.5)
-                await raw.frame(clip.frames[1])
-                assert (await raw.receive())["type"] == "result"
-                for _ in range(200):
-                    await raw.send({"type": "remove", "target": 9})
-                assert await raw.closed() == 4429
-            assert (await session.refresh()).seq == 1
-
-
-async def test_fair_between_neighbours(serve: Serve, clip: Clip) -> None:
+async def test_fair_between_neighbours(own_server: Serve, clip: Clip) -> None:
     """Of two sessions in one lane one sends all it can; the other is answered within its own share."""
-    server = serve()
+    server = own_server()
     async with AsyncClient(server.url) as client:
         greedy = await client.create(clip.frames[0], clip.box)
         modest = await client.create(clip.frames[0], clip.box)
-        async with attach(server, greedy.id) as flood, attach(server, modest.id) as raw:
+        async with attach(server, greedy.id) as flood, attach(server, modest.id) as stream:
             done = asyncio.Event()
             answered = 0
 
@@ -332,7 +230,7 @@ async def test_fair_between_neighbours(serve: Serve, clip: Clip) -> None:
                         index += 1
                         await flood.frame(clip.frames[index % 60])
                         credit -= 1
-                    await flood.receive()
+                    await flood.hear()
                     answered += 1
                     credit += 1
 
@@ -340,8 +238,8 @@ async def test_fair_between_neighbours(serve: Serve, clip: Clip) -> None:
             between = []
             for index in range(1, 40):
                 before = answered
-                await raw.frame(clip.frames[index])
-                assert (await raw.receive())["seq"] == index
+                await stream.frame(clip.frames[index])
+                assert (await stream.hear())["seq"] == index
                 between.append(answered - before)
                 await asyncio.sleep(0.01)
             done.set()
@@ -350,31 +248,8 @@ async def test_fair_between_neighbours(serve: Serve, clip: Clip) -> None:
             assert sorted(between)[len(between) // 2] <= 3
 
 
-async def test_sessions_end_by_themselves(serve: Serve, clip: Clip) -> None:
-    """Idle and absolute time; a tombstone with the reason; a stream is closed with its code."""
-    server = serve(idle_timeout_s=1.0, attached_idle_timeout_s=2.0, max_session_s=30.0)
-    with watch(server):
-        async with AsyncClient(server.url) as client:
-            quiet = await client.create(clip.frames[0], clip.box)
-            watched = await client.create(clip.frames[0], clip.box)
-            async with attach(server, watched.id) as raw:
-                await asyncio.sleep(1.7)
-                with pytest.raises(Problem) as gone:
-                    await quiet.refresh()
-                assert (gone.value.code, gone.value.status, gone.value.reason) == ("session-gone", 410, "idle")
-                assert await raw.closed() == 4408
-            with pytest.raises(Problem) as gone:
-                await watched.track(clip.frames[1])
-            assert gone.value.reason == "idle"
-            await quiet.close()  # 204 while it is remembered
-            with pytest.raises(InvalidStatus) as denied:
-                async with attach(server, quiet.id):
-                    pass
-            assert denied.value.response.status_code == 410
-
-
-async def test_absolute_time(serve: Serve, clip: Clip) -> None:
-    server = serve(max_session_s=1.5)
+async def test_absolute_time(own_server: Serve, clip: Clip) -> None:
+    server = own_server(max_session_s=1.5)
     async with AsyncClient(server.url) as client:
         session = await client.create(clip.frames[0], clip.box)
         reason: Any = None
@@ -386,26 +261,3 @@ async def test_absolute_time(serve: Serve, clip: Clip) -> None:
                 break
             await asyncio.sleep(0.05)
         assert reason == "expired"
-
-
-async def test_admission_is_exact(serve: Serve, clip: Clip) -> None:
-    """A hundred creations at once on ten free places: ten sessions, ninety 503 with Retry-After."""
-    server = serve(lanes=2, max_sessions_per_lane=5)
-    async with AsyncClient(server.url, timeout_s=60) as client:
-
-        async def create() -> Problem | None:
-            try:
-                await client.create(clip.frames[0], clip.box)
-            except Problem as refused:
-                return refused
-            return None
-
-        answers = await asyncio.gather(*(create() for _ in range(100)))
-        refused = [answer for answer in answers if answer is not None]
-        assert len(refused) == 90
-        assert {(r.code, r.status) for r in refused} == {("at-capacity", 503)}
-        assert all(r.retry_after_s is not None and r.retry_after_s > 0 for r in refused)
-        sessions = [s async for s in client.sessions()]
-        assert len(sessions) == 10
-        lanes = [pid for role, pid in server_processes(server.pid).items() if role.startswith("lane")]
-        assert len(lanes) == 2

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from service.lanes.interface import AtCapacity, Buffers, KeysLost, LaneEvent, LaneLost, LaneStatus
+from service.lanes.interface import AtCapacity, Buffers, KeysLost, LaneEvent, LaneLost, LaneStatus, LaneUsage
 from service.lanes.wire import decode_call, encode_reply
 from service.observability.metrics import Metrics
 from service.problems import ProblemError
@@ -55,6 +55,9 @@ class Lanes:
             yield await self.lost.get()
 
     def status(self) -> list[LaneStatus]:
+        return []
+
+    def usage(self) -> list[LaneUsage]:
         return []
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import ExitStack, asynccontextmanager
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from typing import Any
 
 import httpx2
@@ -14,9 +14,7 @@ import pytest
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
-from service.load.clips import Clip, open_clip, sample
 from service.load.own import OwnServer
-from tests.conftest import OTB_ROOT
 
 Serve = Callable[..., "Wire"]
 Answer = dict[str, Any]
@@ -99,32 +97,18 @@ class Wire:
             yield stream
 
 
-@pytest.fixture(scope="session")
-def clip() -> Clip:
-    david = OTB_ROOT / "David"
-    return open_clip(david, None, 60) if david.is_dir() else sample(60)
-
-
-@pytest.fixture(scope="session")
-def shared_server() -> Iterator[OwnServer]:
-    """Two lanes with the default limits."""
-    with OwnServer(lanes=2, max_sessions_per_lane=64, log_level="debug") as own:
-        yield own
-
-
 @pytest.fixture
-async def wire(shared_server: OwnServer) -> AsyncIterator[Wire]:
-    wire = Wire(shared_server)
+async def wire(server: OwnServer) -> AsyncIterator[Wire]:
+    wire = Wire(server)
     yield wire
     await wire.http.aclose()
 
 
 @pytest.fixture
-def serve() -> Iterator[Serve]:
+def serve(own_server: Callable[..., OwnServer]) -> Serve:
     """Servers with settings of their own, ended with the test."""
-    with ExitStack() as stack:
 
-        def start(headers: dict[str, str] | None = None, **settings: object) -> Wire:
-            return Wire(stack.enter_context(OwnServer(**{"lanes": 1} | settings)), headers)
+    def start(headers: dict[str, str] | None = None, **settings: object) -> Wire:
+        return Wire(own_server(**settings), headers)
 
-        yield start
+    return start
