@@ -97,7 +97,7 @@ def _run(
         if progress is not None:
             progress(done, total)
 
-    for job, outcome in run_jobs(jobs, min(workers, len(jobs)), tick):
+    for job, outcome in run_jobs(jobs, workers, tick):
         record = records[job.entry.name, job.sequence.name]
         record.error = outcome.error or record.error
         for run in job.runs:
