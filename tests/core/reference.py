@@ -194,23 +194,42 @@ def sample_scales(gray, center_x, center_y, step_x, step_y, shape):
     return out
 
 
-def scale_hog(samples, epsilon, window):
-    """fHOG of each scale's sample, (cells_y · cells_x · 31, scales)."""
-    columns = []
-    for s, weight in enumerate(window):
+def pack_quads(gray):
+    """Pixel, right, lower and lower right neighbour, (H, W, 4) uint8; the border repeats."""
+    padded = np.pad(gray, ((0, 1), (0, 1)), mode="edge")
+    return np.stack([padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]], axis=-1)
+
+
+def scale_histogram(samples):
+    """Votes of each scale's sample, (cells_y, 18, cells_x, scales)."""
+    histograms = []
+    for s in range(samples.shape[-1]):
         dx, dy = differences(samples[..., s])
-        histogram = histogram_cells(np.hypot(dx, dy), projections(dx, dy).argmax(0))
-        cells = normalize_cells(histogram, 1.0, epsilon)
-        columns.append(weight * np.moveaxis(cells, 0, -1).ravel())
-    return np.stack(columns, axis=1)
+        histograms.append(histogram_cells(np.hypot(dx, dy), projections(dx, dy).argmax(0)))
+    return np.stack(histograms, axis=-1)
 
 
-def respond_scales(spectra, numerator, denominator, regularization):
-    return (np.conj(numerator) * spectra).sum(0) / (denominator + regularization)
+def scale_features(histogram, epsilon, window):
+    """fHOG of each scale's sample times its weight, (cells_y · cells_x · 31, scales)."""
+    columns = [normalize_cells(histogram[..., s], w, epsilon) for s, w in enumerate(window)]
+    return np.stack([np.moveaxis(c, 0, -1).ravel() for c in columns], axis=1)
 
 
-def learn_scales(spectra, label_f, rate, numerator, denominator):
-    return (
-        (1 - rate) * numerator + rate * np.conj(label_f) * spectra,
-        (1 - rate) * denominator + rate * (np.abs(spectra) ** 2).sum(0),
-    )
+def fold(values, side):
+    """Of smaller, larger and present scales: the present one and the sums, and the differences."""
+    smaller, larger, present = values[..., :side], values[..., side : 2 * side], values[..., 2 * side, None]
+    return np.concatenate([present, larger + smaller], axis=-1), larger - smaller
+
+
+def complex_scales(waves, sums):
+    """Half spectra (features, M + 1), frequency 0 first."""
+    side = waves.shape[1] // 2
+    return np.concatenate([sums[:, None], waves[:, :side] - 1j * waves[:, side:]], axis=1)
+
+
+def respond_scales(spectra, mean):
+    return (np.conj(mean) * spectra).sum(0)
+
+
+def learn_scales(spectra, rate, mean, energy):
+    return (1 - rate) * mean + rate * spectra, (1 - rate) * energy + rate * (np.abs(spectra) ** 2).sum(0)

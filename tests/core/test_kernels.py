@@ -84,6 +84,22 @@ def test_normalize_cells(gray, shape, epsilon):
     close(out, reference.normalize_cells(histogram, window, epsilon))
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_direction(seed):
+    dx, dy = np.random.default_rng(seed).integers(-255, 256, 2).astype(np.float32)
+    along = reference.projections(float(dx), float(dy))
+    assert along[hog.direction(dx, dy)] == pytest.approx(along.max())
+
+
+def test_direction_of_every_quarter():
+    for angle in np.arange(0, 360, 7.3):  # none half-way between two directions
+        dx, dy = np.float32(np.cos(np.radians(angle))), np.float32(np.sin(np.radians(angle)))
+        assert hog.direction(dx, dy) == round(angle / 20) % 18
+    # on the axes and where there is nothing
+    turns = [hog.direction(np.float32(x), np.float32(y)) for x, y in ((0, 0), (1, 0), (0, 1), (-1, 0), (0, -1))]
+    assert turns == [0, 0, 4, 9, 13]
+
+
 # --- colour ---
 
 
@@ -241,37 +257,88 @@ def test_find_peak(seed):
 # --- scale ---
 
 
+LANES = 24
+"""Eight smaller scales, eight larger ones, the present one, padding."""
+
+
+def quads_of(gray):
+    quads = np.empty(gray.shape, np.uint32)
+    scale.pack_quads(gray, quads)
+    return quads
+
+
+def test_pack_quads(gray):
+    cut = patch_of(gray, 60, 81)
+    assert np.array_equal(quads_of(cut).view(np.uint8).reshape(60, 81, 4), reference.pack_quads(cut))
+
+
 def test_sample_scales(gray):
     cut = patch_of(gray, 60, 80)
     step_x, step_y = np.linspace(0.8, 3.2, 8, dtype=np.float32), np.linspace(0.5, 2.1, 8, dtype=np.float32)
     out = np.empty((24, 32, 8), np.float32)
-    scale.sample_scales(cut, np.float32(39.3), np.float32(31.7), step_x, step_y, out)
+    scale.sample_scales(quads_of(cut), np.float32(39.3), np.float32(31.7), step_x, step_y, out)
     np.testing.assert_allclose(out, reference.sample_scales(cut, 39.3, 31.7, step_x, step_y, (24, 32)), atol=0.02)
 
 
+@pytest.fixture
+def samples(gray):
+    """(24, 16, LANES)"""
+    steps = np.linspace(0.7, 1.4, LANES, dtype=np.float32)
+    made = reference.sample_scales(gray, 90.2, 80.6, steps, steps, (24, 16)).astype(np.float32)
+    return made + np.random.default_rng(0).random(made.shape).astype(np.float32)  # no ties between directions
+
+
+def histogram_of(samples, count):
+    histogram = np.full((6 * 4 + 1, 18, LANES), np.nan, np.float32)
+    scale.scale_histogram(samples, count, histogram)
+    return histogram
+
+
+def test_scale_histogram(samples):
+    histogram = histogram_of(samples, 17)
+    cells_ = np.moveaxis(histogram[:-1].reshape(6, 4, 18, LANES), 1, 2)
+    np.testing.assert_allclose(cells_[..., :17], reference.scale_histogram(samples[..., :17]), rtol=1e-4, atol=2e-2)
+    assert not cells_[..., 17:].any()
+
+
 @pytest.mark.parametrize("epsilon", [1e-2, 10.0])
-def test_scale_hog(gray, epsilon):
-    steps = np.linspace(0.7, 1.4, 8, dtype=np.float32)
-    samples = reference.sample_scales(gray, 90.2, 80.6, steps, steps, (24, 16)).astype(np.float32)
-    samples += np.random.default_rng(0).random(samples.shape).astype(np.float32)  # no ties between directions
-    window = np.linspace(0.1, 1, 8).astype(np.float32)
-    out = np.full((6 * 4 * 31, 8), np.nan, np.float32)
-    histogram, norms = np.full((6, 4, 18, 8), np.nan, np.float32), np.full((7, 5, 8), np.nan, np.float32)
-    scale.scale_hog(samples, np.float32(epsilon), histogram, norms, window, out)
-    np.testing.assert_allclose(out, reference.scale_hog(samples, epsilon, window), atol=1e-3)
+def test_scale_features(samples, epsilon):
+    histogram = histogram_of(samples, 17)
+    window = np.zeros(LANES, np.float32)
+    window[:8] = window[8:16] = np.linspace(1, 0.1, 8)
+    window[16] = 1
+    norms = np.full((7, 5, LANES), np.nan, np.float32)
+    even, odd = np.full((6 * 4 * 31, 9), np.nan, np.float32), np.full((6 * 4 * 31, 8), np.nan, np.float32)
+    scale.scale_norms(histogram, np.float32(epsilon), norms)
+    scale.scale_features(histogram, norms, window, even, odd)
+    cells_ = np.moveaxis(histogram[:-1].reshape(6, 4, 18, LANES), 1, 2)
+    expected = reference.fold(reference.scale_features(cells_, epsilon, window), 8)
+    np.testing.assert_allclose(even, expected[0], atol=1e-3)
+    np.testing.assert_allclose(odd, expected[1], atol=1e-3)
+
+
+def test_fold():
+    values = np.random.default_rng(11).random(LANES).astype(np.float32)
+    even, odd = np.empty(9, np.float32), np.empty(8, np.float32)
+    scale.fold(values, even, odd)
+    for actual, expected in zip((even, odd), reference.fold(values, 8), strict=True):
+        close(actual, expected)
 
 
 def test_scale_filter():
     rng = np.random.default_rng(10)
-    spectra, numerator = complex_noise(rng, 50, 17), complex_noise(rng, 50, 17)
-    denominator, label_f = rng.random(17).astype(np.float32), complex_noise(rng, 17)
-    response_f = np.empty(17, np.complex64)
-    scale.respond_scales(spectra, numerator, denominator, np.float32(0.01), response_f)
-    close(response_f, reference.respond_scales(spectra, numerator, denominator, 0.01), 1e-4)
-    expected = reference.learn_scales(spectra, label_f, 0.025, numerator, denominator)
-    scale.learn_scales(spectra, label_f, np.float32(0.025), numerator, denominator)
-    for actual, wanted in zip((numerator, denominator), expected, strict=True):
-        close(actual, wanted)
+    waves, mean = rng.standard_normal((2, 50, 16)).astype(np.float32)
+    sums, mean_sums = rng.standard_normal((2, 50)).astype(np.float32)
+    gain, energy = rng.random((2, 9)).astype(np.float32)
+    complex_, complex_mean = reference.complex_scales(waves, sums), reference.complex_scales(mean, mean_sums)
+    response_f = np.empty(17, np.float32)
+    scale.respond_scales(waves, sums, mean, mean_sums, gain, response_f)
+    expected = reference.respond_scales(complex_, complex_mean) * np.roll(gain, 1)
+    close(reference.complex_scales(response_f[None, :16], response_f[16:])[0], expected, 1e-4)
+    expected_mean, expected_energy = reference.learn_scales(complex_, 0.025, complex_mean, np.roll(energy, 1))
+    scale.learn_scales(waves, sums, np.float32(0.025), mean, mean_sums, energy)
+    close(reference.complex_scales(mean, mean_sums), expected_mean)
+    close(np.roll(energy, 1), expected_energy)
 
 
 def test_every_kernel_has_a_test():
