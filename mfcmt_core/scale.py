@@ -23,7 +23,6 @@ from .kernels.scale import (
 )
 from .workspace import scratch
 
-
 LANES = 8
 """The scales to each side are padded to a multiple of this many SIMD lanes."""
 MAX_SAMPLE_SIDE = 64

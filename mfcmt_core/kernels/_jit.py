@@ -22,7 +22,7 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
 
     ``fastmath`` lets sums be vectorised; inputs are finite by construction.
     """
-    options = {"fastmath": True, "nogil": True, "error_model": "numpy", "pipeline_class": _Distinct}
+    options: dict[str, Any] = {"fastmath": True, "nogil": True, "error_model": "numpy", "pipeline_class": _Distinct}
     try:
         return numba.njit(cache=True, **options)(function)
     except RuntimeError:  # no writable place for the cache at all: compile in memory
