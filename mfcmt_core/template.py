@@ -6,15 +6,13 @@ from math import sqrt
 
 import numpy as np
 import numpy.typing as npt
-from scipy import fft
 
 from .config import MFCMTConfig
 from .features import FeatureStack
+from .fourier import Spectra, Transform
 from .geometry import Image, SearchWindow
-from .kernels.template import center_response, energy, learn_filters, learn_spectra, respond_filters
+from .kernels.template import energy, learn_filters, learn_spectra, respond_filters
 from .workspace import scratch
-
-Spectra = npt.NDArray[np.complex64]
 
 
 class TemplateModel:
@@ -27,6 +25,7 @@ class TemplateModel:
 
     def __init__(self, config: MFCMTConfig, window: SearchWindow, grey: bool) -> None:
         self.features = FeatureStack(config, grey)
+        self.transform = Transform(window.cells, window.reach)
         self.average = config.average
         self.rate = np.float32(config.template_learning_rate)
         n = window.cells
@@ -39,7 +38,7 @@ class TemplateModel:
         sigma = config.output_sigma_factor * sqrt(window.target[0] * window.target[1])
         distance = np.fft.fftfreq(n) * n  # zero displacement at index 0
         bell = np.exp(-0.5 * (distance / sigma) ** 2)
-        self.label_f = fft.rfft2(np.outer(bell, bell).astype(np.float32))
+        self.label_f = np.fft.rfft2(np.outer(bell, bell)).astype(np.complex64)
         shape = (self.features.channels, n, n // 2 + 1)
         self.filters = np.zeros(shape, np.complex64)
         if self.average == "spectra":
@@ -48,16 +47,14 @@ class TemplateModel:
 
     def spectra(self, patch: Image) -> Spectra:
         """Half spectra of the windowed features of ``patch``, (channels, n, n // 2 + 1) complex64."""
-        return fft.rfft2(self.features.extract(patch))  # type: ignore[no-any-return]
+        return self.transform.forward(self.features.extract(patch))
 
     def respond(self, spectra: Spectra, out: npt.NDArray[np.float32]) -> float:
         """Responses within reach into ``out`` (models, 2·ry + 1, 2·rx + 1); the mean of their peaks."""
-        n = self.features.cells
-        response_f = scratch("response_f", (len(self.blocks), n, n // 2 + 1), np.complex64)
+        response_f = scratch("response_f", (len(self.blocks), *spectra.shape[1:]), np.complex64)
         respond_filters(self.filters, spectra, self.blocks, response_f)
-        responses = fft.irfft2(response_f, s=(n, n))
-        peaks = [center_response(r, o) for r, o in zip(responses, out, strict=True)]
-        return float(sum(peaks) / len(peaks))
+        out[...] = self.transform.backward(response_f)
+        return float(sum(response.max() for response in out) / len(out))
 
     def learn(self, spectra: Spectra, first: bool = False) -> None:
         """Learn a patch centred on the target at the learning rate (equation 11), or at 1 the first time."""

@@ -13,13 +13,14 @@ from . import snapshot
 from .color import Bins, ColorModel
 from .config import MFCMTConfig
 from .errors import BadConfig, BadImage, BadSnapshot, NotInitialised
+from .fourier import Spectra
 from .fusion import fuse
 from .geometry import Frame, Image, Patch, Rect, SearchWindow, check_box, clip_rect, grow_rect
 from .redetection import propose
 from .reliability import Peaks, Reliability, Verdict
 from .result import Box, TrackResult
 from .scale import ScaleModel
-from .template import Spectra, TemplateModel
+from .template import TemplateModel
 from .workspace import scratch
 
 ATTENTION = 1.25

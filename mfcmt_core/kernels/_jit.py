@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numba
@@ -22,8 +23,8 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
 
     ``fastmath`` lets sums be vectorised; inputs are finite by construction.
     """
-    options: dict[str, Any] = {"fastmath": True, "nogil": True, "error_model": "numpy", "pipeline_class": _Distinct}
+    compile_ = partial(numba.njit, fastmath=True, nogil=True, error_model="numpy", pipeline_class=_Distinct)
     try:
-        return numba.njit(cache=True, **options)(function)
+        return compile_(cache=True)(function)  # type: ignore[no-any-return]
     except RuntimeError:  # no writable place for the cache at all: compile in memory
-        return numba.njit(**options)(function)
+        return compile_()(function)  # type: ignore[no-any-return]

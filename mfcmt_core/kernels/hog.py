@@ -1,6 +1,6 @@
 """fHOG: the 31-channel histogram of oriented gradients of Felzenszwalb et al. (PAMI 2010).
 
-Arrays are planar, ``(channels, rows, columns)``, so that every inner loop runs along a row of cells.
+Arrays are planar, ``(rows, channels, columns)``, so that every inner loop runs along a row of cells.
 """
 
 from __future__ import annotations
@@ -90,10 +90,10 @@ def histogram_cells(magnitude, orientation, rows, histogram):  # type: ignore[no
 
 
 @kernel
-def normalize_cells(histogram, window, epsilon, norms, out):  # type: ignore[no-untyped-def]
-    """Block-normalise, clip and window: ``out`` (31, cells_y, cells_x) ← ``histogram`` (cells_y, 18, cells_x).
+def normalize_cells(histogram, window, epsilon, norms, first, out):  # type: ignore[no-untyped-def]
+    """Block-normalise, clip and window ``histogram`` (cells_y, 18, cells_x): 31 planes from ``first`` on of ``out``.
 
-    ``window`` (cells_y, cells_x) multiplies every channel; ``epsilon`` is added to each block's energy;
+    ``out`` (cells_y, channels, cells_x); ``window`` (cells_y, cells_x) multiplies every channel; ``epsilon`` is added to each block's energy;
     ``norms`` (cells_y + 1, cells_x + 1) is scratch. Blocks beyond the border repeat the last cell.
     """
     cells_y, bins, cells_x = histogram.shape
@@ -122,7 +122,7 @@ def normalize_cells(histogram, window, epsilon, norms, out):  # type: ignore[no-
         texture[:] = 0
         for o in range(bins):
             h = histogram[cy, o]
-            target = out[o, cy]
+            target = out[cy, first + o]
             for cx in range(cells_x):
                 a = min(h[cx] * up[cx], CLIP)
                 b = min(h[cx] * up[cx + 1], CLIP)
@@ -134,10 +134,10 @@ def normalize_cells(histogram, window, epsilon, norms, out):  # type: ignore[no-
                 texture[2, cx] += c
                 texture[3, cx] += d
         for o in range(half):
-            first, second = histogram[cy, o], histogram[cy, o + half]
-            target = out[bins + o, cy]
+            h1, h2 = histogram[cy, o], histogram[cy, o + half]
+            target = out[cy, first + bins + o]
             for cx in range(cells_x):
-                s = first[cx] + second[cx]
+                s = h1[cx] + h2[cx]
                 target[cx] = (
                     half_f
                     * (
@@ -149,6 +149,6 @@ def normalize_cells(histogram, window, epsilon, norms, out):  # type: ignore[no-
                     * win[cx]
                 )
         for k in range(4):
-            target = out[bins + half + k, cy]
+            target = out[cy, first + bins + half + k]
             for cx in range(cells_x):
                 target[cx] = TEXTURE * texture[k, cx] * win[cx]

@@ -19,8 +19,10 @@ def gray_cells(gray, window):
     return (means / 255 - 0.5) * window
 
 
-def color_name_cells(means, table, window):
-    return np.moveaxis(table[bin_pixels(means)], -1, 0) * window
+def color_name_cells(patch, table, window):
+    cells_y, cells_x = window.shape
+    means = patch.reshape(cells_y, CELL, cells_x, CELL, 3).astype(float).mean((1, 3))
+    return np.moveaxis(table[bin_pixels(np.floor(means + 0.5))], -1, 0) * window
 
 
 # --- fHOG ---
@@ -141,9 +143,15 @@ def learn_spectra(spectra, label_f, blocks, regularization, rate, numerator, den
     return numerator, denominator, filters
 
 
-def center_response(response, shape):
-    ry, rx = shape[0] // 2, shape[1] // 2
-    return np.roll(response, (ry, rx), (0, 1))[: shape[0], : shape[1]]
+# --- Fourier ---
+
+
+def fold_rows(grids):
+    """Sums and differences of opposite rows; a row that is its own opposite counts once."""
+    n = len(grids)
+    opposite = grids[-np.arange(n) % n]
+    even = np.where((2 * np.arange(n) % n == 0)[:, None], grids, grids + opposite)
+    return even[: n // 2 + 1], (grids - opposite)[1 : (n + 1) // 2]
 
 
 # --- fusion ---

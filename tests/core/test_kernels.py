@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mfcmt_core.features import color_names, hann_window
-from mfcmt_core.kernels import cells, color, fusion, hog, scale, template
+from mfcmt_core.kernels import cells, color, fourier, fusion, hog, scale, template
 
 from . import reference
 
@@ -33,17 +33,21 @@ def patch_of(image, height, width):
 
 @pytest.mark.parametrize("n", [8, 25, 37])
 def test_gray_cells(gray, n):
-    out = np.empty((n, n), np.float32)
-    cells.gray_cells(patch_of(gray, 4 * n, 4 * n), hann_window(n), out)
-    close(out, reference.gray_cells(patch_of(gray, 4 * n, 4 * n), hann_window(n)))
+    out = np.full((n, 3, n), np.nan, np.float32)
+    cells.gray_cells(patch_of(gray, 4 * n, 4 * n), hann_window(n), 1, out)
+    close(out[:, 1], reference.gray_cells(patch_of(gray, 4 * n, 4 * n), hann_window(n)))
+    assert np.isnan(out[:, [0, 2]]).all()
 
 
 def test_color_name_cells(picture):
     table, n = color_names.table(), 25
-    means = cv2.resize(patch_of(picture, 4 * n, 4 * n), (n, n), interpolation=cv2.INTER_AREA)
-    out = np.empty((table.shape[1], n, n), np.float32)
-    cells.color_name_cells(means, table, hann_window(n), out)
-    close(out, reference.color_name_cells(means, table, hann_window(n)))
+    patch = patch_of(picture, 4 * n, 4 * n)
+    out = np.full((n, 2 + table.shape[1], n), np.nan, np.float32)
+    cells.color_name_cells(patch, table, hann_window(n), 2, out)
+    close(np.moveaxis(out[:, 2:], 1, 0), reference.color_name_cells(patch, table, hann_window(n)))
+    assert np.isnan(out[:, :2]).all()
+    means = cv2.resize(patch, (n, n), interpolation=cv2.INTER_AREA)
+    assert np.array_equal(out[:, 2:], np.moveaxis(table[reference.bin_pixels(means)], -1, 1) * hann_window(n)[:, None])
 
 
 @pytest.mark.parametrize("shape", [(100, 100), (148, 148), (32, 60)])
@@ -78,10 +82,11 @@ def test_normalize_cells(gray, shape, epsilon):
     histogram = reference.histogram_cells(magnitude, orientation).astype(np.float32)
     cells_y, _, cells_x = histogram.shape
     window = np.random.default_rng(0).random((cells_y, cells_x)).astype(np.float32)
-    out = np.full((hog.CHANNELS, cells_y, cells_x), np.nan, np.float32)
+    out = np.full((cells_y, 1 + hog.CHANNELS, cells_x), np.nan, np.float32)
     norms = np.full((cells_y + 1, cells_x + 1), np.nan, np.float32)
-    hog.normalize_cells(histogram, window, np.float32(epsilon), norms, out)
-    close(out, reference.normalize_cells(histogram, window, epsilon))
+    hog.normalize_cells(histogram, window, np.float32(epsilon), norms, 1, out)
+    close(np.moveaxis(out[:, 1:], 1, 0), reference.normalize_cells(histogram, window, epsilon))
+    assert np.isnan(out[:, 0]).all()
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -218,14 +223,30 @@ def test_learn_spectra(spectra, label_f, rate):
         close(actual, wanted)
 
 
-@pytest.mark.parametrize("shape", [(5, 5), (9, 3), (7, 9)])
-def test_center_response(shape):
-    response = np.random.default_rng(8).standard_normal((N, N)).astype(np.float32)
-    out = np.empty(shape, np.float32)
-    highest = template.center_response(response, out)
-    assert np.array_equal(out, reference.center_response(response, shape))
-    assert highest == out.max()
-    assert out[shape[0] // 2, shape[1] // 2] == response[0, 0]
+# --- Fourier ---
+
+
+@pytest.mark.parametrize("n", [3, 7, 8, 25])
+def test_fold_rows(n):
+    grids = np.random.default_rng(8).standard_normal((n, 30)).astype(np.float32)
+    even, odd = np.full((n // 2 + 1, 30), np.nan, np.float32), np.full(((n - 1) // 2, 30), np.nan, np.float32)
+    fourier.fold_rows(grids, even, odd)
+    for actual, expected in zip((even, odd), reference.fold_rows(grids), strict=True):
+        close(actual, expected)
+
+
+@pytest.mark.parametrize("n", [7, 8])
+def test_assemble(n):
+    """From the products of cosines and sines to the half spectra."""
+    grids = np.random.default_rng(12).standard_normal((3, n, n))
+    angles = 2 * np.pi / n * np.outer(np.arange(n), np.arange(n))
+    half = n // 2 + 1
+    rows = np.concatenate([np.cos(angles)[:half], np.sin(angles)[1 : (n + 1) // 2]])
+    columns = np.concatenate([np.cos(angles)[:half], np.sin(angles)[:half], np.ones((1, n))])
+    products = np.einsum("ry,cyx,kx->rck", rows, grids, columns).astype(np.float32)
+    out = np.empty((3, n, half), np.complex64)
+    fourier.assemble(products, out)
+    close(out, np.fft.rfft2(grids))
 
 
 # --- fusion ---
@@ -344,7 +365,7 @@ def test_scale_filter():
 def test_every_kernel_has_a_test():
     """A new kernel needs a twin: its name must appear here."""
     source = Path(__file__).read_text()
-    for module in (cells, color, fusion, hog, scale, template):
+    for module in (cells, color, fourier, fusion, hog, scale, template):
         for name, value in vars(module).items():
             if hasattr(value, "py_func") and value.py_func.__module__ == module.__name__:
                 assert f"{module.__name__.rsplit('.', 1)[1]}.{name}(" in source

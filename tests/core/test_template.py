@@ -17,7 +17,9 @@ N = 8
 
 def model(**changes) -> TemplateModel:
     config = CONFIG.replace(**changes)
-    return TemplateModel(config, SearchWindow(config, (60.0, 40.0)), grey=False)
+    window = SearchWindow(config, (60.0, 40.0))
+    window.reach = (N // 2 - 1, N // 2 - 1)
+    return TemplateModel(config, window, grey=False)
 
 
 def spectra_of(features):
