@@ -10,12 +10,14 @@ import numba
 from numba.core.compiler import Compiler
 
 
-class _Distinct(Compiler):  # type: ignore[misc]
+class _Distinct(Compiler):
     """Arrays handed to one kernel never overlap: LLVM may vectorise loops over many of them without tests."""
 
     def __init__(self, typing, target, library, args, return_type, flags, locals_):  # type: ignore[no-untyped-def]
         flags.noalias = True
-        super().__init__(typing, target, library, args, return_type, flags, locals_)
+        super().__init__(  # type: ignore[no-untyped-call]
+            typing, target, library, args, return_type, flags, locals_
+        )
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -25,6 +27,6 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """
     compile_ = partial(numba.njit, fastmath=True, nogil=True, error_model="numpy", pipeline_class=_Distinct)
     try:
-        return compile_(cache=True)(function)  # type: ignore[no-any-return]
+        return compile_(cache=True)(function)
     except RuntimeError:  # no writable place for the cache at all: compile in memory
-        return compile_()(function)  # type: ignore[no-any-return]
+        return compile_()(function)

@@ -93,8 +93,9 @@ def histogram_cells(magnitude, orientation, rows, histogram):  # type: ignore[no
 def normalize_cells(histogram, window, epsilon, norms, first, out):  # type: ignore[no-untyped-def]
     """Block-normalise, clip and window ``histogram`` (cells_y, 18, cells_x): 31 planes from ``first`` on of ``out``.
 
-    ``out`` (cells_y, channels, cells_x); ``window`` (cells_y, cells_x) multiplies every channel; ``epsilon`` is added to each block's energy;
-    ``norms`` (cells_y + 1, cells_x + 1) is scratch. Blocks beyond the border repeat the last cell.
+    ``out`` (cells_y, channels, cells_x); ``window`` (cells_y, cells_x) multiplies every channel; ``epsilon`` is
+    added to each block's energy; ``norms`` (cells_y + 1, cells_x + 1) is scratch. Blocks beyond the border repeat
+    the last cell.
     """
     cells_y, bins, cells_x = histogram.shape
     half = bins // 2
