@@ -65,8 +65,8 @@ class ColorModel:
         learn_lookup(nothing, nothing, np.float32(0), self.foreground, self.background, self.unseen, self.lookup)
 
     def bins(self, patch: Image) -> Bins:
-        """The histogram bin of each pixel of ``patch`` (H, W[, 3]); scratch, until the next patch of its size."""
-        bins = scratch("bins", patch.shape[:2], np.int32)
+        """The histogram bin of each pixel of ``patch`` (H, W[, 3]), (H, W) int32."""
+        bins = np.empty(patch.shape[:2], np.int32)
         (bin_gray if self.grey else bin_pixels)(patch, bins)
         return bins
 

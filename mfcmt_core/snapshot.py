@@ -59,6 +59,7 @@ def dump(config: MFCMTConfig, target: Target, frame_size: tuple[int, int]) -> by
             "learned": r.learned,
             "unreliable_run": r.unreliable_run,
             "lost": r.lost,
+            "doubtful": r.doubtful,
         },
         "arrays": {name: _pack(array) for name, array in _arrays(target).items()},
     }
@@ -92,6 +93,7 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
             "learned": _integer(r["learned"], 0, 1 << 62),
             "unreliable_run": _integer(r["unreliable_run"], 0, 1 << 62),
             "lost": _boolean(r["lost"]),
+            "doubtful": _boolean(r["doubtful"]),
         }
         scale = _number(document["scale"], 1e-6, 1e10)
         state = State((w, h), _boolean(document["grey"]), (x, y), scale, reliability, dict(document["arrays"]))
@@ -120,7 +122,9 @@ def _arrays(target: Target) -> dict[str, npt.NDArray[Any]]:
     if t := target.template:
         arrays["filters"] = t.filters
         if t.average == "spectra":
-            arrays |= {"numerator": t.numerator, "denominator": t.denominator}
+            arrays |= {"mean": t.mean, "denominator": t.denominator}
+        if t.background:
+            arrays["background_filters"] = t.background.filters
     if c := target.color:
         arrays |= {"foreground": c.foreground, "background": c.background}
     if s := target.sizes:

@@ -7,6 +7,7 @@ from math import sqrt
 import numpy as np
 import numpy.typing as npt
 
+from .background import BackgroundAwareFilter
 from .config import MFCMTConfig
 from .features import FeatureStack
 from .fourier import Spectra, Transform
@@ -42,28 +43,42 @@ class TemplateModel:
         shape = (self.features.channels, n, n // 2 + 1)
         self.filters = np.zeros(shape, np.complex64)
         if self.average == "spectra":
-            self.numerator = np.zeros(shape, np.complex64)
+            self.mean = np.zeros(shape, np.complex64)
             self.denominator = np.zeros((len(blocks), *shape[1:]), np.float32)
+        self.background: BackgroundAwareFilter | None = None
+        self.interval = config.background_interval
+        if self.interval:
+            self.background = BackgroundAwareFilter(window, shape[0], self.label_f, config.regularization)
+            self.names += ("background",)
 
     def spectra(self, patch: Image) -> Spectra:
         """Half spectra of the windowed features of ``patch``, (channels, n, n // 2 + 1) complex64."""
         return self.transform.forward(self.features.extract(patch))
 
     def respond(self, spectra: Spectra, out: npt.NDArray[np.float32]) -> float:
-        """Responses within reach into ``out`` (models, 2·ry + 1, 2·rx + 1); the mean of their peaks."""
-        response_f = scratch("response_f", (len(self.blocks), *spectra.shape[1:]), np.complex64)
-        respond_filters(self.filters, spectra, self.blocks, response_f)
+        """Responses within reach into ``out`` (models, 2·ry + 1, 2·rx + 1); the mean of the ridge filters' peaks."""
+        models = len(self.blocks)
+        response_f = scratch("response_f", (len(self.names), *spectra.shape[1:]), np.complex64)
+        respond_filters(self.filters, spectra, self.blocks, response_f[:models])
+        if self.background:
+            respond_filters(self.background.filters, spectra, self.background.all_channels, response_f[models:])
         out[...] = self.transform.backward(response_f)
-        return float(sum(response.max() for response in out) / len(out))
+        return float(sum(response.max() for response in out[:models]) / models)
 
-    def learn(self, spectra: Spectra, first: bool = False) -> None:
-        """Learn a patch centred on the target at the learning rate (equation 11), or at 1 the first time."""
+    def learn(self, spectra: Spectra, learned: int | None = None) -> None:
+        """Learn a patch centred on the target at the learning rate (equation 11), or at 1 the first time.
+
+        ``learned`` counts the frames learned before this one since the first; None is the first.
+        """
+        first = learned is None
         energies = scratch("energies", (len(self.blocks), *spectra.shape[1:]))
         for block, out in zip(self.blocks, energies, strict=True):
             energy(spectra, block, out)
         rate = np.float32(1) if first else self.rate
         common = (spectra, self.label_f, self.blocks, self.regularization, rate, energies)
         if self.average == "spectra":
-            learn_spectra(*common, self.numerator, self.denominator, self.filters)
+            learn_spectra(*common, self.mean, self.denominator, self.filters)
         else:
             learn_filters(*common, self.filters)
+        if self.background and (learned is None or learned % self.interval == self.interval - 1):
+            self.background.train(self.mean)

@@ -57,21 +57,22 @@ def learn_filters(spectra, label_f, blocks, regularization, rate, energies, filt
 
 @kernel
 def learn_spectra(  # type: ignore[no-untyped-def]
-    spectra, label_f, blocks, regularization, rate, energies, numerator, denominator, filters
+    spectra, label_f, blocks, regularization, rate, energies, mean, denominator, filters
 ):
-    """Equation 11 on numerator and denominator of equation 2, then the division: ``filters``."""
+    """Equation 11 on numerator and denominator of equation 2, then the division: ``filters``.
+
+    The label is the same in every frame, so the numerator's mean is the label times the ``mean`` of spectra.
+    """
     keep = np.float32(1) - rate
     label = label_f.ravel()
-    gain, inverse = np.empty(label.size, np.complex64), np.empty(label.size, np.float32)
-    for k in range(label.size):
-        gain[k] = np.conj(label[k]) * rate
+    gain = np.empty(label.size, np.complex64)
     for m in range(blocks.shape[0]):
         total, new = denominator[m].ravel(), energies[m].ravel()
         for k in range(label.size):
             total[k] = keep * total[k] + rate * new[k]
-            inverse[k] = np.float32(1) / (total[k] + regularization)
+            gain[k] = np.conj(label[k]) * (np.float32(1) / (total[k] + regularization))
         for channel in range(blocks[m, 0], blocks[m, 1]):
-            w, a, z = filters[channel].ravel(), numerator[channel].ravel(), spectra[channel].ravel()
+            w, a, z = filters[channel].ravel(), mean[channel].ravel(), spectra[channel].ravel()
             for k in range(label.size):
-                a[k] = keep * a[k] + gain[k] * z[k]
-                w[k] = a[k] * inverse[k]
+                a[k] = keep * a[k] + rate * z[k]
+                w[k] = gain[k] * a[k]
