@@ -40,7 +40,7 @@ class MFCMTConfig:
     """λ of equation 1, for normalised transforms."""
     output_sigma_factor: float = 1 / 16
     """Standard deviation of the label over √(wh) of the target."""
-    template_learning_rate: float = 0.01
+    template_learning_rate: float = 0.015
     """η_t of equation 11."""
     average: Literal["filter", "spectra"] = "spectra"
     """What equation 11 averages: W itself, or its numerator and denominator."""
@@ -76,7 +76,7 @@ class MFCMTConfig:
     """Template and statistical peak must also exceed this part of their slow means over learned frames; 0: no test."""
     usual_frames: int = 100
     """Length of those slow means."""
-    lost_after: int = 15
+    lost_after: int = 30
     """Frames in a row that fail before the target counts as lost; 0 for never."""
     found_threshold: float = 0.6
     """A lost target is found again where both peaks exceed this part of their slow means."""

@@ -134,13 +134,21 @@ def learn_filters(spectra, label_f, blocks, regularization, rate, filters):
     return (1 - rate) * filters + rate * new
 
 
-def learn_spectra(spectra, label_f, blocks, regularization, rate, numerator, denominator):
-    numerator = (1 - rate) * numerator + rate * np.conj(label_f) * spectra
+def learn_spectra(spectra, label_f, blocks, regularization, rate, mean, denominator):
+    mean = (1 - rate) * mean + rate * spectra
+    numerator = np.conj(label_f) * mean
     denominator = (1 - rate) * denominator + rate * np.stack([energy(spectra, block) for block in blocks])
     filters = np.concatenate(
         [numerator[a:b] / (d + regularization) for (a, b), d in zip(blocks, denominator, strict=True)]
     )
-    return numerator, denominator, filters
+    return mean, denominator, filters
+
+
+def solve_background(mean, label, power, before, penalty, filters, unmasked):
+    cells = mean.shape[1] ** 2
+    rest = mean * label + (penalty + before) * filters - unmasked
+    projection = (np.conj(mean) * rest).sum(0) / cells
+    return mean * label + penalty * filters - mean * projection / (penalty + power)
 
 
 # --- Fourier ---

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mfcmt_core.features import color_names, hann_window
-from mfcmt_core.kernels import cells, color, fourier, fusion, hog, scale, template
+from mfcmt_core.kernels import background, cells, color, fourier, fusion, hog, scale, template
 
 from . import reference
 
@@ -204,10 +204,10 @@ def test_learn_filters(spectra, label_f, rate):
 @pytest.mark.parametrize("rate", [0.02, 1.0])
 def test_learn_spectra(spectra, label_f, rate):
     rng = np.random.default_rng(7)
-    numerator = complex_noise(rng, *spectra.shape)
+    mean = complex_noise(rng, *spectra.shape)
     denominator = rng.random((len(BLOCKS), *spectra.shape[1:])).astype(np.float32)
-    filters = np.zeros_like(numerator)
-    expected = reference.learn_spectra(spectra, label_f, BLOCKS, 0.3, rate, numerator, denominator)
+    filters = np.zeros_like(mean)
+    expected = reference.learn_spectra(spectra, label_f, BLOCKS, 0.3, rate, mean, denominator)
     template.learn_spectra(
         spectra,
         label_f,
@@ -215,12 +215,23 @@ def test_learn_spectra(spectra, label_f, rate):
         np.float32(0.3),
         np.float32(rate),
         energies_of(spectra),
-        numerator,
+        mean,
         denominator,
         filters,
     )
-    for actual, wanted in zip((numerator, denominator, filters), expected, strict=True):
+    for actual, wanted in zip((mean, denominator, filters), expected, strict=True):
         close(actual, wanted)
+
+
+@pytest.mark.parametrize(("before", "penalty"), [(0.0, 1.0), (1.0, 10.0)])
+def test_solve_background(spectra, label_f, before, penalty):
+    rng = np.random.default_rng(8)
+    filters, unmasked = complex_noise(rng, *spectra.shape), complex_noise(rng, *spectra.shape)
+    power = reference.energy(spectra, (0, len(spectra))) / spectra.shape[1] ** 2
+    arguments = (spectra, label_f, power.astype(np.float32), np.float32(before), np.float32(penalty), filters)
+    expected = reference.solve_background(*arguments, unmasked)
+    background.solve_background(*arguments, unmasked)
+    close(unmasked, expected)
 
 
 # --- Fourier ---

@@ -40,7 +40,7 @@ def data(frames, clip) -> bytes:
         DEFAULT.replace(num_scales=1),
         DEFAULT.replace(color_histogram=False),
         DEFAULT.replace(features=()),
-        DEFAULT.replace(joint_filter=False, average="filter"),
+        DEFAULT.replace(joint_filter=False, average="filter", background_interval=0),
         DEFAULT.replace(patch_size=148, window="square"),
     ],
 )

@@ -320,7 +320,7 @@ def test_the_order_of_cues_does_not_matter(frames, clip, order):
         {"num_scales": 1},
         {"num_scales": 5, "scale_step": 1.1},
         {"joint_filter": False},
-        {"average": "filter"},
+        {"average": "filter", "background_interval": 0},
         {"probability": "raw"},
         {"probability": "clip", "sharpness": 2},
         {"window": "target"},
