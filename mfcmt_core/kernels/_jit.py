@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numba
 from numba.core import caching
@@ -19,7 +19,7 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """
     dispatcher: Any = numba.njit(fastmath=True, nogil=True, error_model="numpy")(function)
     dispatcher._cache = _Cache(function)
-    return dispatcher
+    return cast("Callable[..., Any]", dispatcher)
 
 
 class _Ready:
