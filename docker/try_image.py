@@ -77,7 +77,7 @@ class Container:
     """A root of one's own: ``opt`` is the image's /opt/mfcmt; ``tmp`` and ``state`` can be written."""
 
     def __init__(self, image: Image, root: Path) -> None:
-        self.image = image
+        self.image, self._root = image, root
         self.opt, self.tmp, self.state = root / "opt", root / "tmp", root / "state"
         self._as = {"user": image.uid, "group": image.uid, "extra_groups": []} if os.getuid() == 0 else {}
         root.chmod(0o755)
@@ -100,6 +100,11 @@ class Container:
         for cpu in also:
             subprocess.run([self.opt / "bin/mfcmt", "warmup"], env=build_env | {"NUMBA_CPU_NAME": cpu}, check=True)
         subprocess.run(["chmod", "-R", "a-w,a+rX", self.opt], check=True)
+
+    def remove(self) -> None:
+        """All of it."""
+        subprocess.run(["chmod", "-R", "u+w", self._root], check=True)
+        shutil.rmtree(self._root)
 
     def run(self, command: list[str], **changes: str) -> subprocess.CompletedProcess[str]:
         """A command of the image, to its end."""
@@ -206,9 +211,8 @@ def sizes(folder: Path) -> tuple[float, list[tuple[str, float]]]:
 
 def main() -> None:
     """Build, seal, serve, measure, remove."""
-    folder = Path(tempfile.mkdtemp(prefix="mfcmt-image-"))
+    container = Container(read_dockerfile(), Path(tempfile.mkdtemp(prefix="mfcmt-image-")))
     try:
-        container = Container(read_dockerfile(), folder)
         begun = time.monotonic()
         container.build(OTHER_CPU)
         total, parts = sizes(container.opt)
@@ -223,7 +227,7 @@ def main() -> None:
                     f"first frame {took[0]:.1f} ms, median of {len(took)} {statistics.median(took):.1f} ms"
                 )
     finally:
-        shutil.rmtree(folder)
+        container.remove()
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
@@ -17,6 +18,10 @@ if TYPE_CHECKING:
 SECONDS = (0.0005, 0.001, 0.002, 0.003, 0.005, 0.0075, 0.01, 0.02, 0.03, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5)
 # What the front does itself takes tens of microseconds, until something is wrong.
 SHORT_SECONDS = (0.00005, 0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.05, 0.25, 1.0)
+PRESETS = ("default", "paper")
+ENDS = ("closed", "idle", "expired", "lost")
+DROPS = ("superseded", "frame-too-large", "unsupported-image", "frame-undecodable", "frame-size-changed", "bad-region")
+CLOSES = ("1000", "1011", "1012", "4400", "4408", "4409", "4410", "4429")
 
 
 class Metrics:
@@ -26,25 +31,32 @@ class Metrics:
         self.tracing = tracing
         self.registry = CollectorRegistry()
 
-        def counter(name: str, text: str, *labels: str) -> Counter:
-            return Counter(name, text, labels, registry=self.registry)
+        def counter(name: str, text: str, **known: Iterable[str]) -> Counter:
+            """Values of a single label that are ``known`` are there from the start, at zero: a rate over a series
+            that begins with the first fault would miss that fault."""
+            made = Counter(name, text, tuple(known), registry=self.registry)
+            for value in next(iter(known.values()), ()):
+                made.labels(value)
+            return made
 
         def seconds(name: str, text: str, buckets: tuple[float, ...] = SECONDS) -> Histogram:
             return Histogram(name, text, buckets=buckets, registry=self.registry)
 
-        self.sessions_created = counter("mfcmt_sessions_created_total", "Sessions made or restored", "preset")
-        self.sessions_closed = counter("mfcmt_sessions_closed_total", "Sessions ended", "reason")
+        self.sessions_created = counter("mfcmt_sessions_created_total", "Sessions made or restored", preset=PRESETS)
+        self.sessions_closed = counter("mfcmt_sessions_closed_total", "Sessions ended", reason=ENDS)
         self.refused_sessions = counter(
-            "mfcmt_admission_rejected_total", "Sessions refused for want of a place", "reason"
+            "mfcmt_admission_rejected_total", "Sessions refused for want of a place", reason=("at-capacity", "draining")
         )
-        self.frames_received = counter("mfcmt_frames_received_total", "Frame messages and calls", "via")
+        self.frames_received = counter(
+            "mfcmt_frames_received_total", "Frame messages and calls", via=("stream", "http")
+        )
         self.frame_bytes = counter("mfcmt_frame_bytes_total", "Encoded bytes of frames received")
-        self.frames_dropped = counter("mfcmt_frames_dropped_total", "Frames that were not tracked", "reason")
-        self.problems = counter("mfcmt_problems_total", "Refusals told to clients", "code")
-        self.requests = counter("mfcmt_http_requests_total", "HTTP calls answered", "method", "path", "status")
+        self.frames_dropped = counter("mfcmt_frames_dropped_total", "Frames that were not tracked", reason=DROPS)
+        self.problems = counter("mfcmt_problems_total", "Refusals told to clients", code=CATALOGUE)
+        self.requests = counter("mfcmt_http_requests_total", "HTTP calls answered", method=(), path=(), status=())
         self.streams = Gauge("mfcmt_ws_connections", "Attached streams", registry=self.registry)
-        self.stream_closes = counter("mfcmt_ws_closes_total", "Streams closed by the service", "code")
-        self.lane_restarts = counter("mfcmt_lane_restarts_total", "Lanes replaced", "cause")
+        self.stream_closes = counter("mfcmt_ws_closes_total", "Streams closed by the service", code=CLOSES)
+        self.lane_restarts = counter("mfcmt_lane_restarts_total", "Lanes replaced", cause=("died", "hung", "start"))
         self.receive_seconds = seconds(
             "mfcmt_frame_receive_seconds", "From a frame's arrival to the queue: parsed and checked", SHORT_SECONDS
         )
@@ -65,9 +77,6 @@ class Metrics:
             registry=self.registry,
         )
 
-        # There from the start, at zero: a rate over a series that begins with its first fault misses that fault.
-        for code in CATALOGUE:
-            self.problems.labels(code=code)
         self._by_stream = self.frames_received.labels(via="stream")
         self._by_http = self.frames_received.labels(via="http")
 
