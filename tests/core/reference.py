@@ -102,10 +102,14 @@ def count_colors(bins, inner, outer, size):
     return foreground / max(foreground.sum(), 1), background / max(background.sum(), 1)
 
 
-def learn_lookup(new_f, new_b, rate, foreground, background, unseen):
-    f, b = (1 - rate) * foreground + rate * new_f, (1 - rate) * background + rate * new_b
-    seen = f + b > 1e-12
-    return f, b, np.divide(f, f + b, out=np.full(f.shape, float(unseen)), where=seen)
+def learn_colors(bins, inner, outer, rate, foreground, background):
+    new_f, new_b = count_colors(bins, inner, outer, len(foreground))
+    return (1 - rate) * foreground + rate * new_f, (1 - rate) * background + rate * new_b
+
+
+def tabulate(foreground, background, unseen):
+    f, b = foreground.astype(float), background.astype(float)
+    return np.divide(f, f + b, out=np.full(f.shape, float(unseen)), where=f + b > 1e-12)
 
 
 def integral(bins, lookup):
