@@ -54,7 +54,7 @@ def create_app(
     lanes = lanes or local_lanes(settings)
     book = SessionBook(settings, lanes, metrics, clock)
     service = Service(settings, lanes, book, Gate(settings, clock), metrics)
-    metrics.observe_service(book.__len__, settings.capacity, lanes)
+    metrics.observe_service(book.__len__, settings.capacity, lanes, book.keeper.budget)
 
     app = FastAPI(
         title="MFCMT",
@@ -86,6 +86,7 @@ def local_lanes(settings: Settings) -> LanePool:
         lane_config(settings),
         deadline_s=settings.operation_deadline_s,
         start_timeout_s=settings.lane_start_timeout_s,
+        max_rss_bytes=settings.max_lane_rss_bytes,
     )
 
 
@@ -97,6 +98,9 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         log.warning("no MFCMT_SIGNING_KEYS: snapshots are good until this process ends")
     if not settings.api_keys and not settings.on_loopback:
         log.warning("listening beyond loopback without keys: everyone shares all sessions", host=settings.host)
+    if not settings.state_dir:
+        log.warning("no MFCMT_STATE_DIR: sessions end with this process")
+    await service.book.load()
     await service.lanes.start()
     keepers = [
         asyncio.create_task(work)
@@ -109,6 +113,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     try:
         yield
     finally:
+        await service.book.park()
         for keeper in keepers:
             keeper.cancel()
         await asyncio.gather(*keepers, return_exceptions=True)

@@ -12,6 +12,8 @@ from mfcmt_core import BadSnapshot
 from mfcmt_core import __version__ as core_version
 
 from ..frames import FrameLimits
+from . import checkpoint
+from .checkpoint import BadCheckpoint
 from .hosted import HostedSession, Options
 from .seal import BadSeal, Seal
 from .view import Refused
@@ -50,6 +52,10 @@ class Store:
                 state = session.begin(data, args["boxes"])
                 self._sessions[key] = session
                 return state
+            case "checkpoint":
+                return checkpoint.pack(self._sessions[key].to_dict())
+            case "revive":
+                return self._revive(key, data)
             case "snapshot":
                 contents = self._sessions[key].to_dict() | {"front": args["front"]}
                 return self._seal.close(args["owner"], contents)
@@ -60,6 +66,15 @@ class Store:
                 return None
             case _:
                 raise ValueError(op)
+
+    def _revive(self, key: str, data: bytes) -> dict[str, Any]:
+        try:
+            contents = checkpoint.unpack(data)
+            session = HostedSession.from_dict(self._options(contents["options"]), contents)
+        except (BadCheckpoint, BadSnapshot, ValueError, TypeError, KeyError, IndexError) as bad:
+            raise Refused("bad-snapshot", "the checkpoint cannot be read") from bad
+        self._sessions[key] = session
+        return session.state()
 
     def _restore(self, key: str, owner: str, data: bytes) -> dict[str, Any]:
         try:
