@@ -18,6 +18,7 @@ COMMANDS = {
     "warmup": ("mfcmt_core.cli.warmup", "compile the kernels for this CPU and keep them on disk"),
     "serve": ("service.cli.serve", "run the tracking service"),
     "load": ("service.cli.load", "drive a service with real frames and measure it"),
+    "chaos": ("service.cli.chaos", "kill, stop and bloat a service under load and count what is lost"),
     "demo": ("service.cli.demo", "stream a clip through a service and show what comes back"),
 }
 

@@ -132,7 +132,8 @@ class SessionBook:
 
     async def load(self) -> None:
         """Take up the sessions that another process has left. Raises BadState."""
-        saved, damaged = await self.keeper.load()
+        await asyncio.to_thread(self.keeper.open)
+        saved, damaged = self.keeper.take()
         for one in saved:
             front = one.front
             session = self._session(one.id, one.owner, options_of(one), datetime.fromisoformat(front["created_at"]))

@@ -37,9 +37,14 @@ class Keeper:
         """The lane side of a new session."""
         return LaneState(sid, self._lanes, self.budget, self._settings, self._metrics)
 
-    async def load(self) -> tuple[list[Saved], list[tuple[str, str]]]:
-        """What another process has left: sessions, and ids and owners of damaged ones. Raises BadState."""
-        return await asyncio.to_thread(self._vault.load) if self._vault else ([], [])
+    def open(self) -> None:
+        """Open the state directory, where there is one. Raises BadState."""
+        if self._vault is not None:
+            self._vault.open()
+
+    def take(self) -> tuple[list[Saved], list[tuple[str, str]]]:
+        """What another process has left: sessions, and ids and owners of damaged ones; once."""
+        return self._vault.take() if self._vault else ([], [])
 
     def safe(self, session: Session, *, whole: bool = False) -> None:
         """The session can be brought back as it is now; ``whole``: and nothing more will happen to it here."""

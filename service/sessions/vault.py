@@ -53,7 +53,7 @@ class Saved:
 
 
 class Vault:
-    """Only :meth:`load`, :meth:`flush` and :meth:`close` wait for the disk."""
+    """Only :meth:`open`, :meth:`flush` and :meth:`close` wait for the disk."""
 
     def __init__(self, folder: Path, metrics: Metrics) -> None:
         self._folder, self._metrics = folder, metrics
@@ -62,20 +62,26 @@ class Vault:
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._run, name="mfcmt-vault", daemon=True)
         self._db: sqlite3.Connection | None = None
+        self._found: list[Saved] = []
+        self._damaged: list[tuple[str, str]] = []
 
-    def load(self) -> tuple[list[Saved], list[tuple[str, str]]]:
-        """Open; all sessions in the order of their making, and ids and owners of those that are damaged.
-
-        Raises BadState.
-        """
+    def open(self) -> None:
+        """Open and read; again, nothing more. Raises BadState."""
+        if self._db is not None:
+            return
         try:
-            self._db = self._open()
-            found = self._read(self._db)
+            self._db = self._connect()
+            self._read(self._db)
         except (OSError, sqlite3.Error) as broken:
             hint = "another process uses it" if "locked" in str(broken) else "move it away to start without"
             raise BadState(f"the state in {self._folder} cannot be read ({broken}): {hint}") from broken
         self._thread.start()
-        return found
+
+    def take(self) -> tuple[list[Saved], list[tuple[str, str]]]:
+        """The sessions that were found, in the order of their making, and ids and owners of damaged ones; once."""
+        found, self._found = self._found, []
+        damaged, self._damaged = self._damaged, []
+        return found, damaged
 
     def save(self, saved: Saved) -> None:
         """Have a session written; of one that still waits only the newest state is."""
@@ -107,7 +113,7 @@ class Vault:
         if self._db is not None:
             self._db.close()
 
-    def _open(self) -> sqlite3.Connection:
+    def _connect(self) -> sqlite3.Connection:
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if self._folder.stat().st_mode & 0o007:
             log.warning("the state directory is open to every user", folder=str(self._folder))
@@ -129,25 +135,23 @@ class Vault:
             raise OSError(f"version {version} is not read here")
         return db
 
-    def _read(self, db: sqlite3.Connection) -> tuple[list[Saved], list[tuple[str, str]]]:
-        sessions, damaged = [], []
+    def _read(self, db: sqlite3.Connection) -> None:
         for sid, owner, front, op, args, data, checksum, whole in db.execute("SELECT * FROM session ORDER BY rowid"):
             if _checksum(front, args, data) != checksum:
                 log.error("saved session is damaged", session=sid)
-                damaged.append((sid, owner))
+                self._damaged.append((sid, owner))
                 continue
             known = msgpack.unpackb(front)
             entries = db.execute(
                 "SELECT seq, entry FROM trajectory WHERE session = ? AND seq <= ? ORDER BY seq", (sid, known["seq"])
             ).fetchall()
             base = Operation(op, msgpack.unpackb(args), data)
-            sessions.append(Saved(sid, owner, known, base, entries, 0, bool(whole)))
+            self._found.append(Saved(sid, owner, known, base, entries, 0, bool(whole)))
         db.execute("BEGIN")
         db.execute("UPDATE session SET whole = 0")
-        for sid, _ in damaged:
+        for sid, _ in self._damaged:
             _remove(db, sid)
         db.execute("COMMIT")
-        return sessions, damaged
 
     def _run(self) -> None:
         assert self._db is not None
