@@ -76,8 +76,11 @@ class Lanes(Protocol):
     def reserve(self, key: str) -> None:
         """Give ``key`` a place in the lane with the most room, now or never. Raises AtCapacity."""
 
-    async def regain(self, key: str) -> None:
-        """Give ``key``, whose lane was lost, a place again, when there is one. Raises LaneLost if it is released."""
+    async def regain(self, key: str) -> str:
+        """Give ``key``, whose lane was lost, a place again, when there is one. Raises LaneLost if it is released.
+
+        What became of its lane, as in LaneLost; ``restart`` if it never had one here, nothing if it has.
+        """
 
     def holds(self, key: str) -> bool:
         """Whether ``key`` has a place in a lane."""

@@ -44,8 +44,8 @@ class LanePool:
         self._lanes: list[LaneProcess] = [self._new(number) for number in range(count)]
         self._crashes = [0] * count
         self._homes: dict[str, LaneProcess] = {}
-        # Keys without a lane, and the number of the lane where a place is kept for them.
-        self._displaced: dict[str, int] = {}
+        # Keys without a lane: the number of the lane where a place is kept for them, and what became of theirs.
+        self._displaced: dict[str, tuple[int, str]] = {}
         self._changed = asyncio.Event()
         self._events: asyncio.Queue[LaneEvent] = asyncio.Queue()
         self._tasks: set[asyncio.Task[None]] = set()
@@ -79,18 +79,18 @@ class LanePool:
             raise AtCapacity
         self._settle(key, lane)
 
-    async def regain(self, key: str) -> None:
-        """A place again for a key whose lane was lost, or that comes from another process. Raises LaneLost.
+    async def regain(self, key: str) -> str:
+        """A place again for a key whose lane was lost, or that comes from another process; why. Raises LaneLost.
 
         The place is kept in the lane that takes the lost one's place, so that load stays spread; only if
         that one keeps dying, any other will do.
         """
         if key in self._homes:
-            return
+            return ""
         load = self._load()
-        self._displaced.setdefault(key, min(range(len(self._lanes)), key=load.__getitem__))
+        self._displaced.setdefault(key, (min(range(len(self._lanes)), key=load.__getitem__), "restart"))
         while True:
-            number = self._displaced[key]
+            number, cause = self._displaced[key]
             lane: LaneProcess | None = self._lanes[number]
             if not (lane and lane.ready and len(lane.keys) < self._keys_per_lane):
                 full = self._load()[number] > self._keys_per_lane
@@ -98,7 +98,7 @@ class LanePool:
             if lane is not None:
                 del self._displaced[key]
                 self._settle(key, lane)
-                return
+                return cause
             self._changed.clear()
             await self._changed.wait()
             if key not in self._displaced:
@@ -142,7 +142,7 @@ class LanePool:
     def _load(self) -> list[int]:
         """Keys of each lane, those that wait for it among them."""
         load = [len(lane.keys) for lane in self._lanes]
-        for number in self._displaced.values():
+        for number, _ in self._displaced.values():
             load[number] += 1
         return load
 
@@ -187,7 +187,7 @@ class LanePool:
         lane.kill()  # a worker whose socket is gone may still be computing
         for key in lane.keys:
             del self._homes[key]
-            self._displaced[key] = lane.number
+            self._displaced[key] = lane.number, cause
         self._events.put_nowait(KeysLost(lane.number, cause, tuple(lane.keys)))
         steady = bool(lane.versions) and lane.lasted_s() > STEADY_S
         self._crashes[lane.number] = 0 if steady else self._crashes[lane.number] + 1

@@ -29,6 +29,8 @@ PAUSE_S = (0.5, 2.5)
 # How long a stream may be without a result before the run is given up.
 PATIENCE_S = 60.0
 DEADLINE_S = 2.0
+# A result that comes sooner after a fault was on its way: no lane is replaced in this time.
+UNDER_WAY_S = 0.015
 MAX_LANE_BYTES = 640 * MIB
 # Makes lanes grow at a signal; it is only ever in the path of a server that is started here.
 GROW = """
@@ -61,9 +63,13 @@ class Stream:
     forgotten: list[int] = field(default_factory=list)
     seq: int = 0
 
-    def answer_after(self, moment: float) -> float | None:
-        """When the first frame that was sent after ``moment`` was answered."""
-        return self.answered_at.get(bisect_right(self.sent_at, moment))
+    def went_on(self, moment: float) -> bool:
+        """Whether a frame that was sent after ``moment`` is answered."""
+        return bisect_right(self.sent_at, moment) in self.answered_at
+
+    def next_result(self, moment: float) -> float:
+        """When the first result came after ``moment``, if it cannot have been under way then."""
+        return min(at for at in reversed(self.answered_at.values()) if at > moment + UNDER_WAY_S)
 
     def take(self, result: Result) -> None:
         """A frame is answered."""
@@ -171,11 +177,11 @@ class _Run:
     async def _fault(self, kind: str) -> None:
         lanes = {role: pid for role, pid in server_processes(self._server.pid).items() if role.startswith("lane")}
         role, pid = self._random.choice(sorted(lanes.items()))
-        begun = time.monotonic()
         if kind == "memory":
             await self._grow(pid)
         else:
             os.kill(pid, signal.Signals[kind])
+        begun = time.monotonic()
         await self._until_all_go_on(kind, begun, role)
 
     async def _grow(self, pid: int) -> None:
@@ -199,11 +205,11 @@ class _Run:
 
     async def _until_all_go_on(self, kind: str, begun: float, where: str) -> None:
         give_up = time.monotonic() + PATIENCE_S
-        while not all(moments := [stream.answer_after(begun) for stream in self._streams]):
+        while not all(stream.went_on(begun) for stream in self._streams):
             if time.monotonic() > give_up:
                 raise TimeoutError(f"{kind}: a stream has had no result for {PATIENCE_S:g} s")
             await asyncio.sleep(0.005)
-        self._seconds[kind].append(max(moment - begun for moment in moments if moment))
+        self._seconds[kind].append(max(stream.next_result(begun) for stream in self._streams) - begun)
         self._say(f"{kind} on {where}: all go on after {self._seconds[kind][-1]:.3f} s")
 
     async def _drive(self, session: AsyncSession, stream: Stream) -> None:

@@ -256,7 +256,7 @@ class SessionBook:
             self.keeper.lane_state(sid),
             self._metrics,
             on_safe=self.keeper.safe,
-            on_poison=self._poisoned,
+            on_poison=lambda session, detail: self._end(session, "lost", detail),
             ordinal=self._ordinal,
             created=self._clock() - max(0.0, (datetime.now(UTC) - created_at).total_seconds()),
             created_at=created_at,
@@ -296,11 +296,6 @@ class SessionBook:
         if now > session.created + self._settings.max_session_s:
             return "expired"
         return "idle" if now > self._idle_deadline(session) else ""
-
-    def _poisoned(self, session: Session, detail: str) -> None:
-        """The session takes lanes down with it; as for one that has not begun, its creation fails."""
-        if session.id in self._sessions:
-            self._end(session, "lost", detail)
 
     def _end(self, session: Session, reason: str, detail: str = "") -> None:
         session.ended = reason

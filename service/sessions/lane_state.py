@@ -47,8 +47,10 @@ class LaneState:
         self._settings, self._metrics = settings, metrics
         self._suspect: Operation | None = None
         self._torn = False
+        # Early enough for the newest checkpoint to be on disk, and never to be more frames old than is said.
+        self._every = max(1, settings.checkpoint_every_frames - settings.credit_frames)
         # Sessions that began together should not all take their checkpoints at the same frame.
-        self._due_frames = 1 + crc32(key.encode()) % settings.checkpoint_every_frames
+        self._due_frames = 1 + crc32(key.encode()) % self._every
 
     @property
     def due(self) -> str | None:
@@ -89,16 +91,16 @@ class LaneState:
             log.error("fault in a lane", session=self._key, op="checkpoint", fault=value[0])
             return
         self.journal.rebase(Operation("revive", {}, value))
-        self._due_frames = self._settings.checkpoint_every_frames
+        self._due_frames = self._every
         self._metrics.checkpoint(reason, len(value), time.monotonic() - started)
 
-    async def recover(self, cause: str) -> None:
-        """Restore the state in a lane, as soon as one is ready."""
+    async def recover(self, cause: str = "") -> None:
+        """Restore the state in a lane, as soon as one is ready; ``cause`` is told where no lane was lost."""
         started = time.monotonic()
         while True:
             try:
                 async with asyncio.timeout(self._settings.recovery_timeout_s):
-                    await self._lanes.regain(self._key)
+                    cause = await self._lanes.regain(self._key) or cause
                 await self._replay()
                 break
             except TimeoutError:
@@ -106,7 +108,6 @@ class LaneState:
             except LaneLost as lost:
                 if lost.cause == "released":
                     raise
-                cause = lost.cause
         self._torn = False
         if self.journal.base is not None:
             seconds, frames = time.monotonic() - started, len(self.journal.since)
@@ -120,7 +121,7 @@ class LaneState:
             except LaneLost as lost:
                 if lost.cause == "released":
                     raise
-                await self.recover(lost.cause)
+                await self.recover()
 
     async def _replay(self) -> None:
         base = self.journal.base

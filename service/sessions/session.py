@@ -242,7 +242,7 @@ class Session:
         try:
             async with self._turn:
                 if not self.ended and not self.lane.held:
-                    await self._guarded(self.lane.recover("absent"))
+                    await self._guarded(self.lane.recover())
         except ProblemError as refused:
             log.warning("session not restored", session=self.id, code=refused.code)
         finally:
@@ -271,10 +271,13 @@ class Session:
         except LaneLost as lost:
             raise session_gone(self.ended or "lost") from lost
         except Poisoned as poisoned:
-            self._on_poison(self, str(poisoned))
-            if self.lane.journal.base is None and poisoned.late:
-                raise ProblemError("deadline-exceeded", "the operation took too long") from poisoned
-            raise session_gone("lost", str(poisoned)) from poisoned
+            log.error("session is poisoned", session=self.id, fault=str(poisoned))
+            if self.lane.journal.base is not None:
+                self._on_poison(self, str(poisoned))
+                raise session_gone("lost", str(poisoned)) from poisoned
+            # It has not begun.
+            code, detail = ("deadline-exceeded", "took too long") if poisoned.late else ("internal", "ended its worker")
+            raise ProblemError(code, f"the operation {detail}") from poisoned
 
 
 def _refusal(told: list[Any]) -> ProblemError:
