@@ -254,7 +254,6 @@ class SessionBook:
             owner,
             options,
             self.keeper.lane_state(sid),
-            self._metrics,
             on_safe=self.keeper.safe,
             on_poison=lambda session, detail: self._end(session, "lost", detail),
             ordinal=self._ordinal,

@@ -93,10 +93,8 @@ async def test_a_killed_service_loses_no_more_than_it_says(own_server: Serve, cl
         got += await collecting
         assert [result.ts for result in got] == list(range(1, 60))
         assert len(told) == 1
-        known = told[0].lost_after
-        assert known is not None
-        assert known == told[0].seq
-        assert known >= 25 - 2 * every  # what is written may lag behind what is kept
+        assert told[0].seq >= 25 - 2 * every  # what is written may lag behind what is kept
+        assert told[0].lost_after in (None, told[0].seq)  # None if the last checkpoint was of the last result
         assert (await young.refresh()).seq == 0
         assert_same((await young.track(clip.frames[1])).target, in_process(clip, [clip.box])[0][0])
         past = [result.seq for result in await session.trajectory()]
