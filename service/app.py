@@ -34,6 +34,7 @@ from .observability.metrics import Metrics
 from .service import Service
 from .sessions.book import SessionBook
 from .sessions.config import lane_config
+from .sessions.meter import Meter
 from .settings import Settings
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.app")
@@ -53,7 +54,7 @@ def create_app(
     metrics = Metrics()
     lanes = lanes or local_lanes(settings)
     book = SessionBook(settings, lanes, metrics, clock)
-    service = Service(settings, lanes, book, Gate(settings, clock), metrics)
+    service = Service(settings, lanes, book, Gate(settings, clock), metrics, Meter(settings, clock))
     metrics.observe_service(book.__len__, settings.capacity, lanes)
 
     app = FastAPI(
@@ -95,7 +96,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     settings = service.settings
     if not settings.signing_keys:
         log.warning("no MFCMT_SIGNING_KEYS: snapshots are good until this process ends")
-    if not settings.api_keys and not settings.on_loopback:
+    if not settings.authenticated and not settings.on_loopback:
         log.warning("listening beyond loopback without keys: everyone shares all sessions", host=settings.host)
     await service.lanes.start()
     keepers = [
@@ -103,6 +104,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         for work in (
             service.book.keep(),
             service.book.follow_lanes(),
+            service.follow_keys(),
             watch_lag(service.metrics.loop_lag_seconds),
         )
     ]

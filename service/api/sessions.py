@@ -28,11 +28,14 @@ async def create_session(request: Request, service: ServiceDep, caller: Caller, 
     key = request.headers.get("idempotency-key")
     if key is not None and not KEY.fullmatch(key):
         raise ProblemError("bad-request", "Idempotency-Key is 1 to 255 printable characters")
+    service.meter.frame(caller)
     if bodies.media_type(request) == bodies.SNAPSHOT:
         snapshot = await bodies.read(request, settings.max_snapshot_bytes, settings)
+        service.meter.add_bytes(caller, len(snapshot))
         session = await service.book.restore(caller, snapshot, key)
         return _made(request, service, session, accepted)
     upload = await bodies.read_upload(request, settings, raw=False)
+    service.meter.add_bytes(caller, len(upload.frame))
     told = upload.fields
     boxes = bodies.boxes(told)
     if len(boxes) > settings.max_targets_per_session:

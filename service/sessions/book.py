@@ -7,6 +7,7 @@ import contextlib
 import hashlib
 import secrets
 import time
+from collections import Counter
 from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -55,6 +56,7 @@ class SessionBook:
         self._sessions: dict[str, Session] = {}
         self._tombstones: Memory[Tombstone] = Memory(settings.max_tombstones, settings.tombstone_s, clock)
         self._creations: Memory[Creation] = Memory(settings.max_idempotency_keys, settings.idempotency_s, clock)
+        self._opening: Counter[str] = Counter()
         self._ordinal = 0
 
     def __len__(self) -> int:
@@ -136,10 +138,16 @@ class SessionBook:
         """Attached streams."""
         return len(self._attachments())
 
-    def end_streams(self, code: int, reason: str) -> None:
-        """Close every stream; the sessions stay."""
-        for attachment in self._attachments():
+    def streams_of(self, owner: str) -> int:
+        """Attached streams of one owner."""
+        return sum(s.attachment is not None for s in self._sessions.values() if s.owner == owner)
+
+    def end_streams(self, code: int, reason: str, which: Callable[[Attachment], bool] = lambda _: True) -> int:
+        """Close streams, all or those chosen, and say how many; the sessions stay."""
+        chosen = [attachment for attachment in self._attachments() if which(attachment)]
+        for attachment in chosen:
             attachment.end(code, reason)
+        return len(chosen)
 
     def sweep(self) -> None:
         """End what is overdue, close streams that nobody reads, forget what is old."""
@@ -201,6 +209,7 @@ class SessionBook:
         """A place in a lane, taken at once or not at all, and a session around it."""
         if self.draining:
             raise self._unavailable("draining", self._settings.drain_grace_s)
+        self._check_quota(owner)
         sid = secrets.token_urlsafe(ID_BYTES)
         try:
             self._lanes.reserve(sid)
@@ -211,6 +220,7 @@ class SessionBook:
             except AtCapacity:
                 raise self._unavailable("at-capacity", 1.0) from None
         self._ordinal += 1
+        self._opening[owner] += 1
         return Session(
             sid,
             owner,
@@ -233,9 +243,22 @@ class SessionBook:
                 # Its lane died under it: for the client there never was a session.
                 raise self._unavailable("at-capacity", 1.0) from failed
             raise
+        finally:
+            self._opening -= Counter((session.owner,))
         session.touched = self._clock()
         self._sessions[session.id] = session
         self._metrics.sessions_created.labels(preset=session.options.preset).inc()
+
+    def _check_quota(self, owner: str) -> None:
+        """Raises over-quota for a key with as many sessions as it may have, those included that begin."""
+        most = self._settings.max_sessions_per_key
+        for expired_went in (False, True):
+            if self._opening[owner] + sum(s.owner == owner for s in self._sessions.values()) < most:
+                return
+            if not expired_went:
+                self.sweep()
+        self._metrics.refused_sessions.labels(reason="over-quota").inc()
+        raise ProblemError("over-quota", f"at most {most} sessions of a key", retry_after_s=1.0)
 
     def _unavailable(self, code: str, retry_after_s: float) -> ProblemError:
         self._metrics.refused_sessions.labels(reason=code).inc()

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 import structlog
 
+from ..keys import Identity
 from ..lanes.interface import LaneHung, LaneLost, Lanes
 from ..lanes.wire import decode_reply, encode_call
 from ..observability.metrics import Metrics
@@ -48,6 +49,7 @@ class Attachment(Protocol):
     """What a session knows of the stream that is attached to it; ``name`` is known to its owner alone."""
 
     name: str
+    identity: Identity
 
     def tell(self, message: dict[str, Any]) -> None:
         """Send a message when there is room."""

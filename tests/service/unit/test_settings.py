@@ -84,8 +84,8 @@ def test_the_help_shows_every_setting(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_every_limit_says_its_unit() -> None:
-    units = ("_s", "_bytes", "_pixels", "_px", "_scans", "_frames", "_lane", "_session", "_keys", "_tickets")
-    plain = ("max_tombstones", "max_connections", "max_refused_messages")
+    units = ("_s", "_bytes", "_pixels", "_px", "_scans", "_frames", "_lane", "_session", "_keys", "_key", "_tickets")
+    plain = ("max_tombstones", "max_connections", "max_streams", "max_refused_messages")
     for name in Settings.model_fields:
         if name.startswith("max_") or name.endswith(("timeout", "deadline", "grace")):
             assert name.endswith(units) or name in plain, name
