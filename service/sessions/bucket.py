@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+ROUNDING = 1e-6
+
 
 class Bucket:
     """``now`` of every call is of one monotonic clock."""
@@ -16,7 +18,8 @@ class Bucket:
         """0 if one may be taken, or the seconds until then; ``least`` is the share that has to be left besides."""
         self._tokens = min(self._size, self._tokens + max(0.0, now - self._at) * self._per_s)
         self._at = now
-        return max(0.0, min(self._size, 1 + least * self._size) - self._tokens) / self._per_s
+        short = min(self._size, 1 + least * self._size) - self._tokens
+        return short / self._per_s if short > ROUNDING else 0.0
 
     def take(self, now: float) -> float:
         """0 and a token is taken, or the seconds until there is one."""

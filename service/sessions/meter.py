@@ -59,7 +59,7 @@ class Meter:
         )
         if wait_s:
             told = "the service has more frames than it takes"
-            raise ProblemError("at-capacity", told, retry_after_s=round(wait_s, 3))
+            raise ProblemError("at-capacity", told, retry_after_s=_told(wait_s))
         account.frames.spend(1)
         frames.spend(1)
         self.add_bytes(owner, size)
@@ -85,4 +85,8 @@ class Meter:
 
 
 def _too_many(what: str, wait_s: float) -> ProblemError:
-    return ProblemError("rate-limited", f"too many {what}", retry_after_s=round(wait_s, 3))
+    return ProblemError("rate-limited", f"too many {what}", retry_after_s=_told(wait_s))
+
+
+def _told(wait_s: float) -> float:
+    return max(0.001, round(wait_s, 3))
