@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import time
 from collections.abc import AsyncIterator, Callable
+from secrets import token_bytes
 
 import structlog
 from fastapi import FastAPI
@@ -31,11 +32,14 @@ from .lanes.interface import Lanes
 from .lanes.pool import LanePool
 from .observability.lag import watch_lag
 from .observability.metrics import Metrics
+from .seal import Seal
 from .service import Service
 from .sessions.book import SessionBook
 from .sessions.config import lane_config
 from .sessions.meter import Meter
 from .settings import Settings
+
+SECRET_BYTES = 32
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.app")
 
@@ -54,7 +58,9 @@ def create_app(
     metrics = Metrics()
     lanes = lanes or local_lanes(settings)
     book = SessionBook(settings, lanes, metrics, clock)
-    service = Service(settings, lanes, book, Gate(settings, clock), metrics, Meter(settings, clock))
+    secrets = [secret.get_secret_value().encode() for secret in settings.signing_keys]
+    seal = Seal(secrets or [token_bytes(SECRET_BYTES)])
+    service = Service(settings, lanes, book, Gate(settings, clock), metrics, Meter(settings, clock), seal)
     metrics.observe_service(book.__len__, settings.capacity, lanes)
 
     app = FastAPI(

@@ -11,6 +11,7 @@ import structlog
 from .auth import Gate
 from .lanes.interface import Lanes
 from .observability.metrics import Metrics
+from .seal import Seal
 from .sessions.book import SessionBook
 from .sessions.meter import Meter
 from .sessions.session import Attachment, Session
@@ -31,6 +32,7 @@ class Service:
     gate: Gate
     metrics: Metrics
     meter: Meter
+    seal: Seal
 
     async def follow_keys(self) -> None:
         """Cut the streams of keys that are revoked, for as long as the service runs."""

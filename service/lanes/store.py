@@ -12,8 +12,8 @@ from mfcmt_core import BadSnapshot
 from mfcmt_core import __version__ as core_version
 
 from ..frames import FrameLimits
+from . import contents
 from .hosted import HostedSession, Options
-from .seal import BadSeal, Seal
 from .view import Refused
 
 
@@ -34,7 +34,6 @@ class Store:
         self._limits = FrameLimits(**config["frame_limits"])
         self._max_targets: int = config["max_targets"]
         self._region_lag: int = config["region_lag"]
-        self._seal = Seal(config["signing_keys"])
         self._sessions: dict[str, HostedSession] = {}
 
     def handle(self, op: str, key: str, args: dict[str, Any], data: bytes) -> Any:
@@ -51,27 +50,23 @@ class Store:
                 self._sessions[key] = session
                 return state
             case "snapshot":
-                contents = self._sessions[key].to_dict() | {"front": args["front"]}
-                return self._seal.close(args["owner"], contents)
+                return contents.pack(self._sessions[key].to_dict() | {"front": args["front"]})
             case "restore":
-                return self._restore(key, args["owner"], data)
+                return self._restore(key, data)
             case "drop":
                 self._sessions.pop(key, None)
                 return None
             case _:
                 raise ValueError(op)
 
-    def _restore(self, key: str, owner: str, data: bytes) -> dict[str, Any]:
+    def _restore(self, key: str, data: bytes) -> dict[str, Any]:
         try:
-            contents = self._seal.open(owner, data)
-            session = HostedSession.from_dict(self._options(contents["options"]), contents)
-            state = session.state() | {"front": contents["front"], "options": contents["options"]}
-        except BadSeal as bad:
-            raise Refused("bad-snapshot", str(bad)) from bad
-        except (BadSnapshot, ValueError, TypeError, KeyError, IndexError) as bad:
+            told = contents.unpack(data, self._limits, self._max_targets)
+            session = HostedSession.from_dict(self._options(told["options"]), told)
+        except (BadSnapshot, ValueError) as bad:
             raise Refused("bad-snapshot", "its contents do not fit together") from bad
         self._sessions[key] = session
-        return state
+        return session.state() | {"front": told["front"], "options": told["options"]}
 
     def _options(self, chosen: dict[str, Any]) -> Options:
         return Options(self._limits, self._max_targets, self._region_lag, **chosen)

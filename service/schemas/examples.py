@@ -74,7 +74,7 @@ CAPABILITIES = {
     "presets": ["default", "paper"],
     "image_types": ["image/jpeg", "image/png", "image/webp"],
     "trajectory_formats": ["json", "csv", "otb", "mot"],
-    "snapshot_versions": [1],
+    "snapshot_versions": [1, 2],
     "limits": {
         "max_frame_bytes": 8388608,
         "max_frame_pixels": 8300000,

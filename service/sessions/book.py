@@ -96,7 +96,7 @@ class SessionBook:
         return await self._once(owner, key, data, repr((boxes, options)), make)
 
     async def restore(self, owner: str, snapshot: bytes, key: str | None) -> Session:
-        """A session that goes on from a snapshot, under a new id; the same one for the same ``key``."""
+        """A session that goes on from a snapshot's contents, under a new id; the same one for the same ``key``."""
 
         async def make() -> Session:
             session = self._open(owner, Options("default", "reject", None, False, self._settings.idle_timeout_s))

@@ -113,9 +113,9 @@ class Session:
             self.trajectory.append(Entry(0, None, self.size, self.region, self.rows))
 
     async def resume(self, data: bytes) -> dict[str, Any]:
-        """Start from a snapshot; what the front put into it."""
+        """Start from what :meth:`snapshot` gave; what the front put into it."""
         async with self._turn:
-            state = await self._call("restore", {"owner": self.owner}, data)
+            state = await self._call("restore", {}, data)
             self._take(state)
             self.last_number = self.seq
         return {**state["front"], **state["options"]}
@@ -170,10 +170,10 @@ class Session:
         return row and wiring.target(row), self.region
 
     async def snapshot(self) -> bytes:
-        """The session as signed bytes, between two frames."""
+        """The session as bytes, between two frames; they are not signed."""
         front = {"label": self.options.label, "idle_timeout_s": self.options.idle_timeout_s}
         async with self._turn:
-            data: bytes = await self._call("snapshot", {"owner": self.owner, "front": front})
+            data: bytes = await self._call("snapshot", {"front": front})
         return data
 
     async def settled(self) -> None:
