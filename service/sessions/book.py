@@ -176,7 +176,7 @@ class SessionBook:
                     if sid in self._sessions:
                         self._end(self._sessions[sid], "lost")
             else:
-                log.info("lane ready", lane=event.lane)
+                log.info("lane ready", lane=event.lane, confined=event.confined)
 
     async def _once(
         self, owner: str, key: str | None, data: bytes, rest: str, make: Callable[[], Awaitable[Session]]
