@@ -6,7 +6,9 @@ import asyncio
 import contextlib
 import time
 from collections.abc import AsyncIterator, Callable
+from importlib.metadata import version
 from secrets import token_bytes
+from typing import TYPE_CHECKING
 
 import structlog
 from fastapi import FastAPI
@@ -30,6 +32,7 @@ from .api.stream import StreamEndpoint
 from .auth import Gate
 from .lanes.interface import Lanes
 from .lanes.pool import LanePool
+from .observability.exposition import Exposition
 from .observability.lag import watch_lag
 from .observability.metrics import Metrics
 from .seal import Seal
@@ -38,6 +41,9 @@ from .sessions.book import SessionBook
 from .sessions.config import lane_config
 from .sessions.meter import Meter
 from .settings import Settings
+
+if TYPE_CHECKING:
+    from .observability.tracing import Tracing
 
 SECRET_BYTES = 32
 
@@ -55,13 +61,14 @@ def create_app(
     ``lanes`` replaces the worker processes, ``clock`` the monotonic clock of expiry; tests do so.
     """
     settings = settings or Settings()
-    metrics = Metrics()
+    metrics = Metrics(_tracing(settings))
     lanes = lanes or local_lanes(settings)
     book = SessionBook(settings, lanes, metrics, clock)
     secrets = [secret.get_secret_value().encode() for secret in settings.signing_keys]
     seal = Seal(secrets or [token_bytes(SECRET_BYTES)])
-    service = Service(settings, lanes, book, Gate(settings, clock), metrics, Meter(settings, clock), seal)
-    metrics.observe_service(book.__len__, settings.capacity, lanes)
+    meter = Meter(settings, clock)
+    exposition = Exposition(metrics, book.__len__, settings.capacity, lanes)
+    service = Service(settings, lanes, book, Gate(settings, clock), metrics, exposition, meter, seal)
 
     app = FastAPI(
         title="MFCMT",
@@ -96,6 +103,14 @@ def local_lanes(settings: Settings) -> LanePool:
     )
 
 
+def _tracing(settings: Settings) -> Tracing | None:
+    if not settings.otlp_endpoint:
+        return None
+    from .observability.tracing import Tracing
+
+    return Tracing(settings.otlp_endpoint, settings.trace_ratio, version("mfcmt"))
+
+
 @contextlib.asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     service: Service = app.state.service
@@ -121,3 +136,5 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             keeper.cancel()
         await asyncio.gather(*keepers, return_exceptions=True)
         await service.lanes.stop()
+        if service.metrics.tracing is not None:
+            await asyncio.to_thread(service.metrics.tracing.stop)

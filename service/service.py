@@ -10,6 +10,7 @@ import structlog
 
 from .auth import Gate
 from .lanes.interface import Lanes
+from .observability.exposition import Exposition
 from .observability.metrics import Metrics
 from .seal import Seal
 from .sessions.book import SessionBook
@@ -31,6 +32,7 @@ class Service:
     book: SessionBook
     gate: Gate
     metrics: Metrics
+    exposition: Exposition
     meter: Meter
     seal: Seal
 
