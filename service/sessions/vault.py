@@ -218,7 +218,7 @@ def _remove(db: sqlite3.Connection, sid: str) -> None:
     db.execute("DELETE FROM trajectory WHERE session = ?", (sid,))
 
 
-def _checksum(*parts: bytes) -> int:
+def _checksum(*parts: bytes | memoryview) -> int:
     total = 0
     for part in parts:
         total = crc32(part, total)
