@@ -37,7 +37,7 @@ if any("forkserver" in argument for argument in sys.orig_argv):
             except FileExistsError:
                 pass
             else:
-                store.held = b"grow" * (100 << 20)
+                store.held = b"grow" * (120 << 20)
         reply = handle(self, op, key, args, data)
         if op == "track" and data.endswith({FAULT!r}):
             raise RuntimeError("a fault, when the work was done")
