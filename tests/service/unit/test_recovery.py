@@ -168,6 +168,20 @@ async def test_the_same_frame_twice_is_poison_other_deaths_are_not() -> None:
     assert world.book.find("me", other.id) is other
 
 
+async def test_an_operation_that_is_broken_off_has_not_happened() -> None:
+    world = Keeping(checkpoint_every_frames=100)
+    session = await world.create()
+    session.lane._due_frames = 100
+    await world.track(session)
+    tracking = asyncio.create_task(world.track(session))
+    await asyncio.sleep(0)
+    tracking.cancel()
+    await asyncio.gather(tracking, return_exceptions=True)
+    world.lanes.ops.clear()
+    await world.track(session)
+    assert world.lanes.ops == [("create", None), ("track", 1), ("track", 3)]
+
+
 async def test_a_session_without_a_lane_refuses_in_time_and_stays() -> None:
     world = Keeping(recovery_timeout_s=0.02)
     session = await world.create()
@@ -315,6 +329,8 @@ def test_what_is_no_state_is_told(tmp_path: Path) -> None:
         db.execute("PRAGMA user_version = 7")
     with pytest.raises(BadState, match="version 7"):
         Vault(tmp_path, Metrics()).open()
+    with pytest.raises(BadState, match="able to write"):
+        Vault(tmp_path / FILE, Metrics()).open()
 
 
 def test_settings_of_recovery() -> None:
