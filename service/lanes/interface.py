@@ -86,7 +86,7 @@ class Lanes(Protocol):
     def holds(self, key: str) -> bool:
         """Whether ``key`` has a place in a lane."""
 
-    async def call(self, key: str, request: Buffers) -> bytes:
+    async def call(self, key: str, request: Buffers) -> bytes | memoryview:
         """One operation in the key's lane: a MessagePack value there and one back, in the order of calls.
 
         Raises LaneLost. Calls of different keys of a lane share its time fairly.

@@ -110,7 +110,7 @@ class LanePool:
         """Whether ``key`` has a place in a lane."""
         return key in self._homes
 
-    async def call(self, key: str, request: Buffers) -> bytes:
+    async def call(self, key: str, request: Buffers) -> bytes | memoryview:
         """One operation in the key's lane. Raises LaneLost."""
         lane = self._homes.get(key)
         if lane is None:

@@ -28,7 +28,7 @@ class Call:
 
     key: str
     request: Buffers
-    answer: asyncio.Future[bytes]
+    answer: asyncio.Future[bytes | memoryview]
 
 
 class LaneProcess(asyncio.Protocol):
@@ -81,9 +81,9 @@ class LaneProcess(asyncio.Protocol):
         """The worker's process id."""
         return self._process.pid if self._process else None
 
-    def call(self, key: str, request: Buffers) -> asyncio.Future[bytes]:
+    def call(self, key: str, request: Buffers) -> asyncio.Future[bytes | memoryview]:
         """Queue one operation; the future is its reply or LaneLost."""
-        answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
+        answer: asyncio.Future[bytes | memoryview] = asyncio.get_running_loop().create_future()
         if self.lost:
             answer.set_exception(LaneLost(self._cause))
         else:
@@ -149,14 +149,14 @@ class LaneProcess(asyncio.Protocol):
         self._in_flight.clear()
         self._on_lost(self, self._cause)
 
-    def _hello(self, payload: bytes) -> None:
+    def _hello(self, payload: bytes | memoryview) -> None:
         hello = msgpack.unpackb(payload)
         self.versions, self.confined = hello["versions"], tuple(hello["confined"])
         self.ready = True
         self.since = time.monotonic()
         self._on_ready(self)
 
-    def _reply(self, number: int, payload: bytes) -> None:
+    def _reply(self, number: int, payload: bytes | memoryview) -> None:
         if not self._in_flight or self._in_flight[0][0] != number:
             raise Disorder("a reply out of order")
         _, call = self._in_flight.popleft()

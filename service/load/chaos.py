@@ -115,7 +115,7 @@ def chaos(clip: Clip, plan: Plan, say: Callable[[str], None]) -> Report:
     with tempfile.TemporaryDirectory(prefix="mfcmt-chaos-") as folder:
         (Path(folder) / "sitecustomize.py").write_text(GROW)
         with OwnServer(
-            environment={"PYTHONPATH": folder},
+            environment={"PYTHONPATH": os.pathsep.join(filter(None, (folder, os.environ.get("PYTHONPATH"))))},
             state_dir=Path(folder) / "state",
             lanes=plan.lanes,
             max_sessions_per_lane=plan.sessions,

@@ -18,7 +18,7 @@ from ..lanes.interface import AtCapacity, KeysLost, Lanes
 from ..observability.metrics import Metrics
 from ..problems import ProblemError, session_gone, session_not_found
 from ..settings import Settings
-from .keeper import Keeper, options_of
+from .keeper import Keeper, created_at_of, options_of
 from .memory import Memory
 from .session import Attachment, Options, Session
 
@@ -137,15 +137,8 @@ class SessionBook:
         await asyncio.to_thread(self.keeper.open)
         saved, damaged = self.keeper.take()
         for one in saved:
-            front = one.front
-            session = self._session(one.id, one.owner, options_of(one), datetime.fromisoformat(front["created_at"]))
-            session.seq, session.last_number = front["seq"], front["last_number"]
-            session.size, session.region, session.rows = front["size"], front["region"], front["rows"]
-            for seq, entry in one.entries:
-                session.trajectory.append_packed(seq, entry)
-            session.saved_to = session.seq
-            session.lost_after = None if one.whole else session.seq
-            session.lane.journal.rebase(one.base)
+            session = self._session(one.id, one.owner, options_of(one), created_at_of(one))
+            self.keeper.fill(session, one)
             self._sessions[one.id] = session
             session.revive()
         for sid, owner in damaged:

@@ -19,7 +19,7 @@ class Operation:
 
     op: str
     args: Mapping[str, Any]
-    data: bytes = b""
+    data: bytes | memoryview = b""
 
     @property
     def bytes(self) -> int:

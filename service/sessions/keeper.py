@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable
+from datetime import datetime
 from pathlib import Path
 
 import structlog
@@ -66,6 +67,17 @@ class Keeper:
         session.saved_to = session.seq
         self._vault.save(Saved(session.id, session.owner, front, base, entries, trajectory.first_seq, whole))
 
+    def fill(self, session: Session, saved: Saved) -> None:
+        """Make a new session what the saved one was; its state comes back with its lane."""
+        front = saved.front
+        session.seq, session.last_number = front["seq"], front["last_number"]
+        session.size, session.region, session.rows = front["size"], front["region"], front["rows"]
+        for seq, entry in saved.entries:
+            session.trajectory.append_packed(seq, entry)
+        session.saved_to = session.seq
+        session.lost_after = None if saved.whole else session.seq
+        session.lane.journal.rebase(saved.base)
+
     def forget(self, session: Session) -> None:
         """The session has ended."""
         session.lane.journal.close()
@@ -96,3 +108,8 @@ class Keeper:
 def options_of(saved: Saved) -> Options:
     """What the client of a saved session chose."""
     return Options(*saved.front["options"])
+
+
+def created_at_of(saved: Saved) -> datetime:
+    """When a saved session was made."""
+    return datetime.fromisoformat(saved.front["created_at"])

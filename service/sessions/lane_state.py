@@ -74,18 +74,19 @@ class LaneState:
         journal = self.journal
         if changes and journal.since and journal.bytes + operation.bytes > self._settings.max_replay_bytes:
             await self.checkpoint("bytes")
-        if self._torn:
-            await self.recover("fault")
+        await self._mend()
+        # Given up or broken off, an operation may be done, half done or not done; it shall not be.
+        self._torn = changes
         code, value = await self._lasting(operation)
-        if changes:
-            self._torn = code == "internal"  # in the middle of the work
-            if code in CHANGING:
-                journal.add(operation)
+        self._torn = changes and code == "internal"
+        if changes and code in CHANGING:
+            journal.add(operation)
         return code, value
 
     async def checkpoint(self, reason: str) -> None:
         """Keep the state as it is now in place of what led to it."""
         started = time.monotonic()
+        await self._mend()
         code, value = await self._lasting(CHECKPOINT)
         if code is not None:
             log.error("fault in a lane", session=self._key, op="checkpoint", fault=value[0])
@@ -108,11 +109,16 @@ class LaneState:
             except LaneLost as lost:
                 if lost.cause == "released":
                     raise
-        self._torn = False
         if self.journal.base is not None:
             seconds, frames = time.monotonic() - started, len(self.journal.since)
             self._metrics.recovered(cause, frames, seconds)
             log.info("session restored", session=self._key, cause=cause, frames=frames, seconds=round(seconds, 4))
+
+    async def _mend(self) -> None:
+        """If it is not sure what the last operation has done, go back to before it."""
+        if self._torn:
+            await self.recover("fault")
+            self._torn = False
 
     async def _lasting(self, operation: Operation) -> tuple[str | None, Any]:
         while True:

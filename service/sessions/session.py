@@ -190,11 +190,11 @@ class Session:
         row = next((row for row in state["rows"] if row[0] == state["target"]), None)
         return row and wiring.target(row), self.region
 
-    async def snapshot(self) -> bytes:
+    async def snapshot(self) -> bytes | memoryview:
         """The session as bytes, between two frames; they are not signed."""
         front = {"label": self.options.label, "idle_timeout_s": self.options.idle_timeout_s}
         async with self._turn:
-            data: bytes = await self._call("snapshot", {"front": front})
+            data: bytes | memoryview = await self._call("snapshot", {"front": front})
         return data
 
     def revive(self) -> None:

@@ -73,8 +73,7 @@ class Vault:
             self._db = self._connect()
             self._read(self._db)
         except (OSError, sqlite3.Error) as broken:
-            hint = "another process uses it" if "locked" in str(broken) else "move it away to start without"
-            raise BadState(f"the state in {self._folder} cannot be read ({broken}): {hint}") from broken
+            raise BadState(f"the state in {self._folder} cannot be used ({broken}): {_hint(broken)}") from broken
         self._thread.start()
 
     def take(self) -> tuple[list[Saved], list[tuple[str, str]]]:
@@ -132,7 +131,7 @@ class Vault:
             db.execute(f"PRAGMA user_version={VERSION}")
         db.execute("COMMIT")
         if version not in (0, VERSION):
-            raise OSError(f"version {version} is not read here")
+            raise sqlite3.DatabaseError(f"version {version} is not read here")
         return db
 
     def _read(self, db: sqlite3.Connection) -> None:
@@ -185,6 +184,14 @@ class Vault:
             self._changed.wait_for(lambda: self._closing, RETRY_S)
 
 
+def _hint(broken: Exception) -> str:
+    if "locked" in str(broken):
+        return "another process uses it"
+    if isinstance(broken, OSError) or "readonly" in str(broken) or "unable to open" in str(broken):
+        return "this user must be able to write there"
+    return "move it away to start without"
+
+
 def _write(db: sqlite3.Connection, batch: dict[str, Saved | None]) -> None:
     db.execute("BEGIN")
     try:
@@ -218,7 +225,7 @@ def _remove(db: sqlite3.Connection, sid: str) -> None:
     db.execute("DELETE FROM trajectory WHERE session = ?", (sid,))
 
 
-def _checksum(*parts: bytes) -> int:
+def _checksum(*parts: bytes | memoryview) -> int:
     total = 0
     for part in parts:
         total = crc32(part, total)

@@ -15,6 +15,7 @@ __all__ = ["clip", "misbehaving", "own_server"]
 POISON = b"(poison)"
 SLEEP = b"(sleep)"
 FAULT = b"(fault)"
+GROW = b"(grow)"
 
 # Runs in each Python process of a server; only in its fork server, and so in its lanes, it does something.
 SITE = f"""
@@ -30,6 +31,13 @@ if any("forkserver" in argument for argument in sys.orig_argv):
             os.kill(os.getpid(), signal.SIGKILL)
         if op == "track" and data.endswith({SLEEP!r}):
             time.sleep(60)
+        if op == "track" and data.endswith({GROW!r}):
+            try:
+                os.mkdir(os.environ["MISBEHAVED"])
+            except FileExistsError:
+                pass
+            else:
+                store.held = b"grow" * (120 << 20)
         reply = handle(self, op, key, args, data)
         if op == "track" and data.endswith({FAULT!r}):
             raise RuntimeError("a fault, when the work was done")
@@ -41,10 +49,12 @@ if any("forkserver" in argument for argument in sys.orig_argv):
 
 @pytest.fixture
 def misbehaving(own_server: Callable[..., OwnServer], tmp_path: Path) -> Callable[..., OwnServer]:
-    """Servers whose lanes die of frames that end with ``POISON``, hang at ``SLEEP``, break at ``FAULT``."""
+    """Servers whose lanes die of frames that end with ``POISON``, hang at ``SLEEP``, break at ``FAULT``, grow at
+    the first ``GROW``."""
     (tmp_path / "sitecustomize.py").write_text(SITE)
 
     def start(**settings: object) -> OwnServer:
-        return own_server(environment={"PYTHONPATH": str(tmp_path)}, **settings)
+        environment = {"PYTHONPATH": str(tmp_path), "MISBEHAVED": str(tmp_path / "misbehaved")}
+        return own_server(environment=environment, **settings)
 
     return start

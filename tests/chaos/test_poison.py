@@ -17,7 +17,7 @@ from service.load.usage import server_processes
 from tests.service.live.test_main_job import assert_same, in_process
 from tests.service.wire.conftest import Wire
 
-from .conftest import FAULT, POISON, SLEEP
+from .conftest import FAULT, GROW, POISON, SLEEP
 
 Serve = Callable[..., OwnServer]
 
@@ -80,6 +80,22 @@ async def test_a_fault_leaves_the_session_as_it_was(misbehaving: Serve, clip: Cl
             await session.track(clip.frames[30] + FAULT)
         assert refused.value.code == "internal"
         assert_same((await session.track(clip.frames[2])).target, results[1][0])
+
+
+async def test_a_lane_that_outgrows_its_limit(misbehaving: Serve, clip: Clip) -> None:
+    server = misbehaving(lanes=1, max_lane_rss_bytes=512 << 20, operation_deadline_s=60)
+    results = in_process(clip, [clip.box])
+    async with AsyncClient(server.url) as client:
+        session = await client.create(clip.frames[0], clip.box)
+        frames = [clip.frames[1], clip.frames[2] + GROW, *clip.frames[3:10]]
+        got = [result async for result in session.stream(frames, mode="lossless")]
+        for result, said in zip(got, results, strict=False):
+            assert_same(result.target, said[0])
+        assert len(got) == 9
+        while await _restarts(server) == 0:
+            await asyncio.sleep(0.05)
+        assert 'mfcmt_lane_restarts_total{cause="memory"} 1.0' in (await Wire(server).http.get("/metrics")).text
+        assert_same((await session.track(clip.frames[10])).target, results[9][0])
 
 
 async def test_lanes_that_keep_dying_turn_readiness_off(own_server: Serve, clip: Clip) -> None:

@@ -129,17 +129,19 @@ async def test_files_are_for_their_owner_alone(own_server: Serve, clip: Clip, st
         assert {stat.S_IMODE(file.stat().st_mode) for file in files} == {0o600}
 
 
-async def test_ended_sessions_stay_ended(own_server: Serve, clip: Clip, state: Path) -> None:
-    server = own_server(state_dir=state)
-    async with AsyncClient(server.url) as client:
+async def test_ended_sessions_stay_ended_and_foreign_ones_foreign(own_server: Serve, clip: Clip, state: Path) -> None:
+    keys = ["a-key-of-one-tenant", "the-key-of-another"]
+    server = own_server(state_dir=state, api_keys=",".join(keys))
+    async with AsyncClient(server.url, key=keys[0]) as client, AsyncClient(server.url, key=keys[1]) as other:
         ended, kept = [await client.create(clip.frames[0], clip.box) for _ in range(2)]
         await ended.close()
         server.stop()
         await asyncio.to_thread(server.start)
         assert (await kept.refresh()).seq == 0
-        with pytest.raises(Problem) as gone:
-            await ended.refresh()
-        assert gone.value.code == "session-not-found"
+        for gone in (ended.refresh(), other.session(kept.id)):
+            with pytest.raises(Problem) as refused:
+                await gone
+            assert refused.value.code == "session-not-found"
 
 
 async def test_a_damaged_session_is_told_and_the_others_live(own_server: Serve, clip: Clip, state: Path) -> None:

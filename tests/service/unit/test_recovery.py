@@ -13,7 +13,9 @@ import pytest
 from prometheus_client import generate_latest
 
 from service.lanes.interface import AtCapacity, Buffers, LaneLost
-from service.lanes.wire import decode_call, encode_reply
+from service.lanes.pool import LanePool
+from service.lanes.process import LaneProcess
+from service.lanes.wire import Splitter, decode_call, decode_reply, encode_reply, framed
 from service.observability.metrics import Metrics
 from service.problems import ProblemError
 from service.sessions.book import SessionBook
@@ -166,6 +168,20 @@ async def test_the_same_frame_twice_is_poison_other_deaths_are_not() -> None:
     assert world.book.find("me", other.id) is other
 
 
+async def test_an_operation_that_is_broken_off_has_not_happened() -> None:
+    world = Keeping(checkpoint_every_frames=100)
+    session = await world.create()
+    session.lane._due_frames = 100
+    await world.track(session)
+    tracking = asyncio.create_task(world.track(session))
+    await asyncio.sleep(0)
+    tracking.cancel()
+    await asyncio.gather(tracking, return_exceptions=True)
+    world.lanes.ops.clear()
+    await world.track(session)
+    assert world.lanes.ops == [("create", None), ("track", 1), ("track", 3)]
+
+
 async def test_a_session_without_a_lane_refuses_in_time_and_stays() -> None:
     world = Keeping(recovery_timeout_s=0.02)
     session = await world.create()
@@ -194,6 +210,64 @@ def test_a_closed_journal_keeps_nothing() -> None:
     journal.close()
     journal.add(Operation("track", {"seq": 2}, b"third"))
     assert (budget.checkpoints, budget.frames, journal.base, journal.since) == (0, 0, None, [])
+
+
+async def test_the_places_of_the_lost_are_kept() -> None:
+    """In the lane that comes for the lost one; elsewhere only while that one keeps dying."""
+    pool = LanePool(2, 3, {}, deadline_s=1, start_timeout_s=1, max_rss_bytes=1 << 40)
+    for lane in pool._lanes:
+        lane.ready = True
+    for key in "abcd":
+        pool.reserve(key)
+    lost = pool._homes["a"]
+    assert sorted(lost.keys) == ["a", "c"]
+    began: list[LaneProcess] = []
+    pool._begin = lambda lane, wait_s=0.0: _noted(began, lane)  # type: ignore[method-assign,assignment]
+    lost.lost, lost.ready = True, False
+    pool._lost(lost, "died")
+    waiting = [asyncio.create_task(pool.regain(key)) for key in "ac"]
+    pool.reserve("e")
+    with pytest.raises(AtCapacity):
+        pool.reserve("f")
+    await asyncio.sleep(0)
+    fresh = pool._lanes[lost.number]
+    assert began == [fresh]
+    assert not pool.holds("a")
+    fresh.ready = True
+    pool._ready(fresh)
+    assert await asyncio.gather(*waiting) == ["died", "died"]
+    assert sorted(fresh.keys) == ["a", "c"]
+    pool.reserve("f")
+    pool.release("e")
+    for _ in range(4):  # keeps dying
+        pool._lanes[fresh.number].ready = False
+        pool._lost(pool._lanes[fresh.number], "died")
+    assert pool.status()[fresh.number].failing
+    assert await pool.regain("a") == "died"
+    assert pool._homes["a"] is not pool._lanes[fresh.number]
+    gone = asyncio.create_task(pool.regain("c"))
+    await asyncio.sleep(0)
+    pool.release("c")
+    with pytest.raises(LaneLost, match="released"):
+        await gone
+
+
+async def _noted(began: list[LaneProcess], lane: LaneProcess) -> None:
+    began.append(lane)
+
+
+def test_a_long_value_is_not_copied() -> None:
+    for size in (10, 70_000, 200_000):
+        payload = encode_reply(None, b"x" * size)
+        message = b"".join(framed(7, [payload]))
+        splitter = Splitter()
+        heard = [reply for start in range(0, len(message), 65_536) for reply in splitter.feed(message[start:][:65_536])]
+        assert [(call, bytes(payload)) for call, payload in heard] == [(7, payload)]
+        code, value = decode_reply(heard[0][1])
+        assert (code, bytes(value)) == (None, b"x" * size)
+        assert isinstance(value, memoryview) == (size > 65_535)
+        again = list(splitter.feed(message[:20]))
+        assert again == []
 
 
 def saved(sid: str, seq: int, entries: list[int], first: int = 0, whole: bool = False) -> Saved:
@@ -255,6 +329,8 @@ def test_what_is_no_state_is_told(tmp_path: Path) -> None:
         db.execute("PRAGMA user_version = 7")
     with pytest.raises(BadState, match="version 7"):
         Vault(tmp_path, Metrics()).open()
+    with pytest.raises(BadState, match="able to write"):
+        Vault(tmp_path / FILE, Metrics()).open()
 
 
 def test_settings_of_recovery() -> None:
