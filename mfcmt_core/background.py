@@ -58,7 +58,8 @@ class BackgroundAwareFilter:
         """The spectra of what ``spectra`` have inside the target's box."""
         waves: npt.NDArray[np.float32] = (self.rows_back @ spectra).view(np.float32)
         inside = waves @ self.columns_back
-        return self.rows @ (inside @ self.columns).view(np.complex64)
+        masked: Spectra = self.rows @ (inside @ self.columns).view(np.complex64)
+        return masked
 
 
 def _middle(cells: int, side: float) -> npt.NDArray[np.int64]:
