@@ -105,11 +105,24 @@ def test_direction_of_every_quarter():
     assert turns == [0, 0, 4, 9, 13]
 
 
+def test_hog_cells(gray):
+    """The parts in one call."""
+    patch = patch_of(gray, 32, 60)
+    window = np.random.default_rng(0).random((8, 15)).astype(np.float32)
+    magnitude, orientation = np.empty((32, 60), np.float32), np.empty((32, 60), np.uint8)
+    scratch = (np.empty((4, 18, 17), np.float32), np.empty((8, 18, 15), np.float32), np.empty((9, 16), np.float32))
+    out, expected = np.zeros((2, 8, 32, 15), np.float32)
+    hog.hog_cells(patch, window, np.float32(1), 1, magnitude, orientation, *scratch, out)
+    hog.normalize_cells(scratch[1], window, np.float32(1), scratch[2], 1, expected)
+    assert np.array_equal(out, expected)
+    close(scratch[1], reference.histogram_cells(magnitude, orientation))
+
+
 # --- colour ---
 
 
 def test_bins(picture, gray):
-    bins = np.empty(picture.shape[:2], np.int32)
+    bins = np.empty(picture.shape[:2], np.uint16)
     color.bin_pixels(picture, bins)
     assert np.array_equal(bins, reference.bin_pixels(picture))
     color.bin_gray(gray, bins)
@@ -127,20 +140,22 @@ def test_bins(picture, gray):
 )
 @pytest.mark.parametrize("rate", [0.0, 0.04, 1.0])
 def test_learn_colors(picture, inner, outer, rate):
-    bins = reference.bin_pixels(patch_of(picture, 100, 100)).astype(np.int32)
+    bins = reference.bin_pixels(patch_of(picture, 100, 100)).astype(np.uint16)
     f, b = (np.random.default_rng(1).random((2, 32**3)) / 1000).astype(np.float32)
     expected = reference.learn_colors(bins, inner, outer, rate, f, b)
-    color.learn_colors(bins, inner, outer, np.float32(rate), f, b)
+    counts = np.zeros((2, 32**3), np.int32)
+    color.learn_colors(bins, inner, outer, np.float32(rate), counts, f, b)
+    assert not counts.any()
     for actual, wanted in zip((f, b), expected, strict=True):
-        np.testing.assert_allclose(actual, wanted, atol=1e-4)  # summed up pixel by pixel
+        close(actual, wanted)
 
 
 def test_colours_fade_to_nothing():
     """Not to denormal numbers, which are slow."""
-    bins = np.zeros((4, 4), np.int32)
+    bins = np.zeros((4, 4), np.uint16)
     f, b = np.full((2, 32), 1e-3, np.float32)
     for _ in range(1100):
-        color.learn_colors(bins, (1, 1, 3, 3), (1, 1, 3, 3), np.float32(0.04), f, b)
+        color.learn_colors(bins, (1, 1, 3, 3), (1, 1, 3, 3), np.float32(0.04), np.zeros((2, 32), np.int32), f, b)
     assert f[0] == pytest.approx(1, abs=1e-5)
     assert not f[1:].any()
 
@@ -157,7 +172,7 @@ def test_tabulate(unseen):
 
 def test_look_up_and_box_means(picture):
     patch = patch_of(picture, 100, 120)
-    bins = reference.bin_pixels(patch).astype(np.int32)
+    bins = reference.bin_pixels(patch).astype(np.uint16)
     lookup = np.random.default_rng(2).random(32**3).astype(np.float32)
     integral = np.full((101, 121), np.nan, np.float32)
     color.look_up(bins, lookup, integral)
@@ -356,6 +371,24 @@ def test_scale_features(samples, epsilon):
     expected = reference.fold(reference.scale_features(cells_, epsilon, window), 8)
     np.testing.assert_allclose(even, expected[0], atol=1e-3)
     np.testing.assert_allclose(odd, expected[1], atol=1e-3)
+
+
+def test_scale_hog(gray):
+    """The parts in one call."""
+    cut = patch_of(gray, 60, 80)
+    step = np.linspace(0.8, 3.2, LANES, dtype=np.float32)
+    window, epsilon, center = np.ones(LANES, np.float32), np.float32(10), (np.float32(39.3), np.float32(31.7))
+    samples, histogram = np.empty((24, 16, LANES), np.float32), np.empty((25, 18, LANES), np.float32)
+    quads, norms = np.empty((60, 80), np.uint32), np.empty((7, 5, LANES), np.float32)
+    even, odd = np.empty((24 * 31, 9), np.float32), np.empty((24 * 31, 8), np.float32)
+    scale.scale_hog(cut, *center, step, step, 17, epsilon, window, quads, samples, histogram, norms, even, odd)
+    assert np.array_equal(quads, quads_of(cut))
+    np.testing.assert_allclose(samples, reference.sample_scales(cut, 39.3, 31.7, step, step, (24, 16)), atol=0.02)
+    assert np.array_equal(histogram, histogram_of(samples, 17))
+    expected_even, expected_odd = np.empty_like(even), np.empty_like(odd)
+    scale.scale_features(histogram, norms, window, expected_even, expected_odd)
+    np.testing.assert_allclose(even, expected_even, atol=1e-5)
+    np.testing.assert_allclose(odd, expected_odd, atol=1e-5)
 
 
 def test_fold():
