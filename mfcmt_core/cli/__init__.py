@@ -18,7 +18,7 @@ COMMANDS = {
     "warmup": ("mfcmt_core.cli.warmup", "compile the kernels for this CPU and keep them on disk"),
     "serve": ("service.cli.serve", "run the tracking service"),
     "load": ("service.cli.load", "drive a service with real frames and measure it"),
-    "demo": ("service.cli.demo", "stream a clip through a service and show what comes back"),
+    "demo": ("service.cli.demo", "open the page with the sample clip, on a service of its own"),
 }
 
 
