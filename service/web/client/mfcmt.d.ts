@@ -139,11 +139,11 @@ export interface ProblemDocument {
 /**
  * Everything this client throws on purpose. `code` is one of the protocol's problems, or of the client's own:
  * `connection-lost` (the server cannot be reached, or not again in time), `stream-ended` (used after its end),
- * `unsupported-source` (not a frame, or pixels where nothing can encode them), `aborted`.
+ * `unsupported-source` (not a frame, or pixels where nothing can encode them), `aborted`, `no-websocket`.
  */
 export class MFCMTError extends Error {
   constructor(problem: Partial<ProblemDocument>, context?: { seq?: number | null; ref?: unknown; cause?: unknown });
-  readonly code: ProblemCode | "connection-lost" | "stream-ended" | "unsupported-source" | "aborted" | (string & {});
+  readonly code: ProblemCode | "connection-lost" | "stream-ended" | "unsupported-source" | "aborted" | "no-websocket" | (string & {});
   readonly type: string;
   /** HTTP status; 0 where no server said anything. */
   readonly status: number;
