@@ -385,6 +385,7 @@ export class App {
     const at = performance.now();
     if (!now && at - this.#panelsAt < PANELS_MS) return;
     this.#panelsAt = at;
+    this.stage.root.dataset.frames = this.history.frames.length;
     const target = this.history.targets.get(this.chosen);
     this.targets.draw([...this.history.targets.values()], this.chosen, this.exportSize);
     this.strips.draw(target);
