@@ -1,3 +1,4 @@
+/// <reference lib="dom" />
 /** Client of the MFCMT tracking service, for browsers and Node. Wire objects keep the protocol's names (docs/protocol.md). */
 
 /** `[x, y, w, h]`: pixels of the whole frame as it is sent, 0-based, top-left corner, `w, h > 0`. */

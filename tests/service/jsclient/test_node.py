@@ -67,9 +67,7 @@ async def test_both_subprotocols_say_the_same(server: OwnServer, scenario: Scena
 
 
 @pytest.mark.parametrize("codec", ["json", "msgpack"])
-async def test_lossless_keeps_to_its_credit(
-    server: OwnServer, clip: Clip, scenario: Scenario, codec: str
-) -> None:
+async def test_lossless_keeps_to_its_credit(server: OwnServer, clip: Clip, scenario: Scenario, codec: str) -> None:
     """Sixty frames at once: each waits for its turn, none is refused, none is lost."""
     told = await scenario("flood", server.url, stream={"mode": "lossless", "codec": codec})
     assert told["sent"] == told["seqs"] == list(range(1, len(clip.frames)))
@@ -167,9 +165,7 @@ async def test_told_that_the_server_goes_away(own_server: Serve, clip: Clip, sce
 
 
 @pytest.mark.parametrize("codec", ["json", "msgpack"])
-async def test_controls_and_refusals_in_a_stream(
-    server: OwnServer, clip: Clip, scenario: Scenario, codec: str
-) -> None:
+async def test_controls_and_refusals_in_a_stream(server: OwnServer, clip: Clip, scenario: Scenario, codec: str) -> None:
     told = await scenario("controls", server.url, codec=codec)
     assert told["added"] == [0, 1]
     assert told["refused"]["code"] == "target-not-found"
@@ -229,7 +225,8 @@ async def test_problems_are_typed(server: OwnServer, scenario: Scenario) -> None
         "aborted": ("aborted", 0),
     }
     assert told["box"]["type"].endswith("#bad-box")
-    assert told["box"]["title"] and told["box"]["detail"]
+    assert told["box"]["title"]
+    assert told["box"]["detail"]
 
 
 async def test_refused_for_want_of_room_says_when_to_come_again(own_server: Serve, scenario: Scenario) -> None:

@@ -101,9 +101,9 @@ export class Attaching {
     return this.#client.key ? (await this.#client.ticket(this.#id)).ticket : null;
   }
 
-  /** Outside of browsers a refused handshake is a bare HTTP status, which no WebSocket tells: ask for the reason. */
+  /** Outside of browsers a refused handshake is an HTTP status at best, without its problem: ask for the reason. */
   async #explained(failed) {
-    if (IN_BROWSER || failed.code !== "connection-lost" || this.#options.ticket) return failed;
+    if (IN_BROWSER || failed.type !== "about:blank" || this.#options.ticket) return failed;
     try {
       const { info } = await this.#client.getSession(this.#id);
       if (!info.stream.attached) return failed;

@@ -1,6 +1,6 @@
 /** One attachment of a session over one WebSocket: no waiting for credit, no reconnecting. */
 
-import { MFCMTError, connectionLost, ofClose } from "./errors.js";
+import { MFCMTError, connectionLost, ofClose, ofHandshake } from "./errors.js";
 
 const OPEN = 1;
 
@@ -44,7 +44,9 @@ export function connect({ WebSocket, url, codec, ticket, timeoutMs, onMessage })
         refusal = new MFCMTError(message.problem);
       }
     };
-    socket.onerror = () => {}; // a close follows
+    socket.onerror = (event) => {
+      refusal ??= ofHandshake(event.message); // a close follows
+    };
     socket.onclose = ({ code, reason }) => fail(ofClose(code, reason));
   });
 }

@@ -4,7 +4,7 @@ import { openEncoder, sizeOf } from "./encoder.js";
 import { fittedSize } from "./pixels.js";
 
 // Every so many cuts the whole frame is encoded too, to know what regions save.
-const WEIGH_EVERY = 120;
+const WEIGH_EVERY = 30;
 // For each frame in flight that the server leaves no room for, so much of the largest target on each side.
 const ROOM_PER_FRAME = 0.25;
 const SCALE_TOLERANCE_PX = 1;
@@ -15,7 +15,7 @@ export class Cutter {
   #opening = null;
   #closed = false;
   #cuts = 0;
-  #wholeBytes = 0;
+  #density = 1; // bytes a pixel of the whole frame over those of the cut
 
   constructor(where) {
     this.#where = where;
@@ -36,8 +36,13 @@ export class Cutter {
     if (this.#closed) this.encoder.close();
     const how = { size, region, imageType, quality, weigh };
     const { bytes, wholeBytes } = await this.encoder.encode(image, how, keep);
-    this.#wholeBytes = wholeBytes ?? (region ? this.#wholeBytes : bytes.length);
-    return { bytes, region, saved: region ? this.#wholeBytes - bytes.length : 0 };
+    return { bytes, region, saved: region ? this.#saved(bytes.length, area(size) / area(region.slice(2)), wholeBytes) : 0 };
+  }
+
+  /** What the whole frame would have cost more, by the last one weighed: its light may change, its contents change less. */
+  #saved(cutBytes, areas, wholeBytes) {
+    if (wholeBytes !== null) this.#density = wholeBytes / cutBytes / areas;
+    return Math.max(0, cutBytes * areas * this.#density - cutBytes);
   }
 
   close() {
@@ -45,6 +50,8 @@ export class Cutter {
     this.encoder?.close();
   }
 }
+
+const area = ([width, height]) => width * height;
 
 /** The size to send a picture in: the session's where the shape is the same, else bounded by its longer side. */
 export function frameSize([width, height], [w, h], maxSide) {

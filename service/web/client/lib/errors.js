@@ -49,6 +49,24 @@ export function ofClose(code, reason) {
   return new MFCMTError({ ...known, title: known.code, detail: reason || `closed with ${code}` });
 }
 
+const BY_STATUS = {
+  400: "bad-request",
+  401: "unauthenticated",
+  403: "origin-refused",
+  404: "session-not-found",
+  409: "attached-elsewhere",
+  410: "session-gone",
+  429: "rate-limited",
+  503: "at-capacity",
+};
+
+/** What a refused handshake meant where the WebSocket tells its HTTP status (npm `ws`); null elsewhere. */
+export function ofHandshake(message) {
+  const status = Number(/response: (\d{3})$/.exec(message ?? "")?.[1]);
+  if (!status) return null;
+  return new MFCMTError({ code: BY_STATUS[status] ?? "internal", status, detail: `the handshake got HTTP ${status}` });
+}
+
 /** The problem in an HTTP answer; of any other body only the status is told. */
 export async function ofResponse(response) {
   let problem = {};

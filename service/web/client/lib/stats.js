@@ -54,7 +54,7 @@ export class Stats {
       refused,
       inFlight,
       bytesSent,
-      bytesSaved: Math.max(0, Math.round(this.bytesSaved)),
+      bytesSaved: Math.round(this.bytesSaved),
       latencyMs: this.#answers.at(-1)?.latencyMs ?? null,
       latencyP50Ms: quantile(0.5),
       latencyP95Ms: quantile(0.95),
