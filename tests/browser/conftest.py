@@ -13,7 +13,7 @@ import pytest_asyncio
 
 from service.load.own import OwnServer
 from tests.conftest import OTB_ROOT, ROOT, require
-from tests.service.conftest import own_server, server
+from tests.service.conftest import clip, own_server, server
 
 from .driver import Tracker
 
@@ -30,7 +30,7 @@ FLAGS = [
     "--disable-sync",
     "--hide-scrollbars",
 ]
-__all__ = ["own_server", "server"]  # fixtures
+__all__ = ["clip", "own_server", "server"]  # fixtures
 Open = Callable[..., AbstractAsyncContextManager[Tracker]]
 loop = pytest.mark.asyncio(loop_scope="package")
 

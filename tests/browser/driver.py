@@ -122,7 +122,9 @@ class Tracker:
         await self.page.keyboard.press("Escape")
 
     async def notice(self) -> str:
-        """What the page complains about."""
+        """What the page complains about; empty where it does not."""
+        if not await self.page.is_visible("#notice"):
+            return ""
         return " ".join((await self.page.inner_text("#notice")).split())
 
     async def log(self) -> str:

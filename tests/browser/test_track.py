@@ -110,7 +110,7 @@ async def test_sample_clip_with_several_targets(open_page: Open, artefacts: Path
         await user.page.keyboard.press("Space")
         await user.frames(60)
         assert await user.status(1) == "tracking"
-        assert "Target added" in await user.log()
+        assert "Target 2 started" in await user.log()
         assert await user.page.locator("#maps figure").count() == 5
         await user.page.screenshot(path=artefacts / "two-targets.png")
 

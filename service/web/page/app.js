@@ -30,6 +30,7 @@ export class App {
   maps = new Maps();
   figures = new Figures();
   tracking = null;
+  trackMs = null;
   #shownTime = 0;
   #base = 0;
   #panelsAt = 0;
@@ -44,7 +45,10 @@ export class App {
     this.stage = new Stage(byId("stage"), byId("picture"), byId("overlay"), {
       onbox: (box) => this.box(box),
       onpick: (point) => this.#pick(point),
-      onhold: (on) => this.player.hold(on),
+      onhold: (on) => {
+        this.player.hold(on);
+        this.changed();
+      },
     });
     this.player = new Player({
       deliver: () => this.#deliver(),
@@ -177,6 +181,7 @@ export class App {
     this.tracking = tracking;
     this.exportSize = this.source.size;
     this.skipped = 0;
+    this.trackMs = null;
     try {
       await tracking.start(slot, boxes.map((box) => pixels(box, size)), ids, { ...values, label: this.source.name });
     } catch (error) {
@@ -199,7 +204,7 @@ export class App {
     try {
       if (target !== null) this.history.restart(target);
       await this.tracking.place(slot, pixels(box, [slot.canvas.width, slot.canvas.height]), target);
-      log.add(this.clock(slot.time), target === null ? "Target added" : `Target ${target}`, target === null ? "" : "corrected");
+      if (target !== null) log.add(this.clock(slot.time), `Target ${target}`, "corrected");
       if (target === null) this.chosen = [...this.history.targets.keys()].at(-1) ?? this.chosen;
       this.adding = false;
       notice.hide();
@@ -239,7 +244,7 @@ export class App {
       this.#shownTime = slot.time;
       this.stage.show(slot.canvas, [slot.canvas.width, slot.canvas.height]);
     }
-    this.trackMs = result.timing?.track_ms;
+    if (result.timing) this.trackMs = smooth(this.trackMs, result.timing.track_ms);
     const changes = this.history.note({ ...result, seq: result.seq + this.#base }, ids, slot ? slot.time : this.#shownTime);
     for (const { id, from, to, time } of changes) {
       log.add(this.clock(time), `Target ${id}`, from ? to : "started", to);
@@ -372,7 +377,8 @@ export class App {
   }
 
   #draw() {
-    const { scene } = this.stage;
+    const { scene, root } = this.stage;
+    root.dataset.frames = this.history.frames.length;
     scene.targets = [...this.history.targets.values()];
     scene.chosen = this.chosen;
     this.stage.draw();
@@ -385,7 +391,6 @@ export class App {
     const at = performance.now();
     if (!now && at - this.#panelsAt < PANELS_MS) return;
     this.#panelsAt = at;
-    this.stage.root.dataset.frames = this.history.frames.length;
     const target = this.history.targets.get(this.chosen);
     this.targets.draw([...this.history.targets.values()], this.chosen, this.exportSize);
     this.strips.draw(target);
@@ -399,6 +404,9 @@ export class App {
 }
 
 const pixels = ([x, y, w, h], [width, height]) => [x * width, y * height, w * width, h * height];
+
+/** A mean that forgets, so that the figure can be read. */
+const smooth = (mean, value) => (mean === null ? value : mean + 0.1 * (value - mean));
 
 const after = (first, second) => () => {
   first();

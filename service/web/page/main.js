@@ -31,6 +31,7 @@ byId("flip").addEventListener("click", () => {
 byId("seek").addEventListener("input", ({ target }) => app.player.seek(Number(target.value)));
 byId("add-target").addEventListener("click", add);
 byId("record").addEventListener("click", record);
+byId("key-cancel").addEventListener("click", () => byId("key-dialog").close("cancel"));
 byId("open-keys").addEventListener("click", () => byId("keys-dialog").showModal());
 byId("export").addEventListener("click", ({ target }) => {
   const { format } = target.closest("button")?.dataset ?? {};
@@ -131,7 +132,7 @@ async function askKey(error) {
   const dialog = byId("key-dialog");
   if (key.get() && error.code === "unauthenticated") byId("key-text").textContent = "The key that was given is not valid. Enter another one.";
   key.forget();
-  byId("key").value = "";
+  byId("key").value = dialog.returnValue = "";
   dialog.showModal();
   await new Promise((done) => dialog.addEventListener("close", done, { once: true }));
   if (dialog.returnValue !== "ok" || !byId("key").value) return false;
