@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -65,8 +66,10 @@ async def chrome(camera_frames: list[bytes], tmp_path_factory: pytest.TempPathFa
 @asynccontextmanager
 async def launched(flags: list[str]) -> AsyncIterator[Any]:
     """A browser with these flags besides the usual ones."""
-    playwright = pytest.importorskip("playwright.async_api")
-    async with playwright.async_playwright() as driver:
+    require(find_spec("playwright"), "playwright is not installed")
+    from playwright.async_api import async_playwright
+
+    async with async_playwright() as driver:
         browser = await driver.chromium.launch(executable_path=chromium(), args=[*FLAGS, *flags])
         yield browser
         await browser.close()

@@ -5,12 +5,14 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from service.load.own import OwnServer
+from tests.conftest import require
 
 from .conftest import Open, loop
 from .driver import Tracker
@@ -29,8 +31,10 @@ DEMO = "import sys; from mfcmt_core.cli import main; sys.exit(main(['demo', '--n
 
 async def violations(user: Tracker) -> list[str]:
     """What axe finds wrong with the page as it is now."""
-    axe = pytest.importorskip("axe_playwright_python.async_playwright")
-    found = await axe.Axe().run(user.page)
+    require(find_spec("axe_playwright_python"), "axe-playwright-python is not installed")
+    from axe_playwright_python.async_playwright import Axe
+
+    found = await Axe().run(user.page)
     return [f"{v['id']}: {v['help']} {[n['target'] for n in v['nodes']]}" for v in found.response["violations"]]
 
 

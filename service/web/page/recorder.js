@@ -41,7 +41,7 @@ export class Recorder {
     const { width, height } = this.#canvas;
     const context = this.#canvas.getContext("2d");
     context.drawImage(picture, 0, 0, width, height);
-    paint(context, { x: 0, y: 0, w: width, h: height }, { ...scene, draft: null, suggestion: null }, width / 800);
+    paint(context, { x: 0, y: 0, w: width, h: height }, { ...scene, draft: null, suggestion: null }, width / LEAST_WIDTH);
   }
 
   /** The recording, `{blob, suffix}`. */
