@@ -61,6 +61,7 @@ reproduce: warmup $(PEERS)  ## the paper's section IV on DATA=folder (PUBLISHED=
 
 lock:  ## refresh the lock files (needs uv)
 	uv pip compile pyproject.toml --all-extras --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q -U -o requirements.lock
+	uv pip compile pyproject.toml docker/build.in --extra service --extra otel --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q -U -c requirements.lock -o docker/requirements.lock
 	uv pip compile .ci/peers.in --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q -U -o .ci/peers.lock
 
 clean:  ## remove what the targets made

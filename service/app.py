@@ -6,6 +6,8 @@ import asyncio
 import contextlib
 import time
 from collections.abc import AsyncIterator, Callable
+from importlib.metadata import version
+from typing import TYPE_CHECKING
 
 import structlog
 from fastapi import FastAPI
@@ -30,12 +32,16 @@ from .api.stream import StreamEndpoint
 from .auth import Gate
 from .lanes.interface import Lanes
 from .lanes.pool import LanePool
+from .observability.exposition import Exposition
 from .observability.lag import watch_lag
 from .observability.metrics import Metrics
 from .service import Service
 from .sessions.book import SessionBook
 from .sessions.config import lane_config
 from .settings import Settings
+
+if TYPE_CHECKING:
+    from .observability.tracing import Tracing
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.app")
 
@@ -51,11 +57,11 @@ def create_app(
     ``lanes`` replaces the worker processes, ``clock`` the monotonic clock of expiry; tests do so.
     """
     settings = settings or Settings()
-    metrics = Metrics()
+    metrics = Metrics(_tracing(settings))
     lanes = lanes or local_lanes(settings)
     book = SessionBook(settings, lanes, metrics, clock)
-    service = Service(settings, lanes, book, Gate(settings, clock), metrics)
-    metrics.observe_service(book.__len__, settings.capacity, lanes)
+    exposition = Exposition(metrics, book.__len__, settings.capacity, lanes)
+    service = Service(settings, lanes, book, Gate(settings, clock), metrics, exposition)
 
     app = FastAPI(
         title="MFCMT",
@@ -91,6 +97,14 @@ def local_lanes(settings: Settings) -> LanePool:
     )
 
 
+def _tracing(settings: Settings) -> Tracing | None:
+    if not settings.otlp_endpoint:
+        return None
+    from .observability.tracing import Tracing
+
+    return Tracing(settings.otlp_endpoint, settings.trace_ratio, version("mfcmt"))
+
+
 @contextlib.asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     service: Service = app.state.service
@@ -115,3 +129,5 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             keeper.cancel()
         await asyncio.gather(*keepers, return_exceptions=True)
         await service.lanes.stop()
+        if service.metrics.tracing is not None:
+            await asyncio.to_thread(service.metrics.tracing.stop)

@@ -8,6 +8,7 @@ from typing import Any
 
 from .auth import Gate
 from .lanes.interface import Lanes
+from .observability.exposition import Exposition
 from .observability.metrics import Metrics
 from .problems import ProblemError
 from .sessions.book import SessionBook
@@ -25,6 +26,7 @@ class Service:
     book: SessionBook
     gate: Gate
     metrics: Metrics
+    exposition: Exposition
     buckets: dict[str, Bucket] = field(default_factory=dict)
 
     def spend(self, owner: str) -> None:

@@ -98,6 +98,14 @@ class Settings(BaseSettings):
         default="info", description="least level that is logged"
     )
 
+    otlp_endpoint: str = Field(
+        default="",
+        description="base URL of the OTLP/HTTP collector of spans, as http://host:4318; none: no spans",
+    )
+    trace_ratio: float = Field(
+        default=0.01, ge=0, le=1, allow_inf_nan=False, description="share of calls and frames that begin a trace"
+    )
+
     @field_validator("api_keys", "signing_keys", "allowed_origins", mode="before")
     @classmethod
     def _split(cls, value: Any) -> Any:
@@ -121,7 +129,7 @@ class Settings(BaseSettings):
                 raise ValueError("an origin is scheme://host[:port] and nothing more")
         return tuple(origin.lower() for origin in value)
 
-    @field_validator("public_url")
+    @field_validator("public_url", "otlp_endpoint")
     @classmethod
     def _http_url(cls, value: str) -> str:
         if value and not value.startswith(("http://", "https://")):

@@ -17,6 +17,7 @@ COMMANDS = {
     "bench": ("mfcmt_core.cli.bench", "milliseconds a frame, stage by stage, alone or beside other trackers"),
     "warmup": ("mfcmt_core.cli.warmup", "compile the kernels for this CPU and keep them on disk"),
     "serve": ("service.cli.serve", "run the tracking service"),
+    "health": ("service.cli.health", "ask a running service on this machine how it is: exit code 0 or 1"),
     "load": ("service.cli.load", "drive a service with real frames and measure it"),
     "demo": ("service.cli.demo", "open the page with the sample clip, on a service of its own"),
 }

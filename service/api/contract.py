@@ -253,7 +253,10 @@ METRICS = _call(
     200,
     {
         "description": "the metrics",
-        "content": {"text/plain": {"schema": {"type": "string"}, "example": examples.METRICS}},
+        "content": {
+            kind: {"schema": {"type": "string"}, "example": examples.METRICS}
+            for kind in ("text/plain", "application/openmetrics-text")
+        },
     },
     "origin-refused",
     "internal",

@@ -61,6 +61,7 @@ class StreamEndpoint:
             send,
             scope["extensions"].get(ABORT_EXTENSION, lambda: None),
             scope["state"]["request_id"],
+            scope["state"].get("span"),
         )
         if session.attachment is not None:
             session.attachment.end(4409, "attached elsewhere")

@@ -68,7 +68,7 @@ class OwnServer:
 
     def start(self) -> None:
         """Start and wait until it is ready; on the same port again after a :meth:`stop` or a crash."""
-        self.port = self.port or _free_port()
+        self.port = self.port or free_port()
         settings = {"log_format": "json", "host": "127.0.0.1"} | self._settings | {"port": self.port}
         environment = {name: value for name, value in os.environ.items() if not name.startswith("MFCMT_")}
         environment |= {f"MFCMT_{name.upper()}": str(value) for name, value in settings.items()}
@@ -118,7 +118,8 @@ class OwnServer:
         return "\n".join(self.log.splitlines()[-20:])
 
 
-def _free_port() -> int:
+def free_port() -> int:
+    """A loopback port that nothing listens on just now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

@@ -216,7 +216,6 @@ class SessionBook:
             owner,
             options,
             self._lanes,
-            self._metrics,
             ordinal=self._ordinal,
             created=self._clock(),
             created_at=datetime.now(UTC),

@@ -13,7 +13,7 @@ import structlog
 
 from ..lanes.interface import LaneHung, LaneLost, Lanes
 from ..lanes.wire import decode_reply, encode_call
-from ..observability.metrics import Metrics
+from ..observability.stages import Stages
 from ..problems import ProblemError, session_gone
 from ..schemas.fields import MAX_SEQ
 from . import wiring
@@ -35,13 +35,14 @@ class Options:
 
 @dataclass(slots=True)
 class Frame:
-    """A frame message with its number, on its way to the lane; ``arrived`` is of the monotonic clock."""
+    """A frame message with its number, on its way to the lane; ``arrived``, ``queued`` are of the monotonic clock."""
 
     data: bytes
     seq: int
     ts: float | str | None
     region: list[int] | None
     arrived: float
+    queued: float
 
 
 class Attachment(Protocol):
@@ -68,7 +69,6 @@ class Session:
         owner: str,
         options: Options,
         lanes: Lanes,
-        metrics: Metrics,
         *,
         ordinal: int,
         created: float,
@@ -87,7 +87,7 @@ class Session:
         self.last_number = 0
         self.http_waiting = 0
         self.trajectory = Trajectory(max_trajectory_bytes)
-        self._lanes, self._metrics = lanes, metrics
+        self._lanes = lanes
         self._turn = asyncio.Lock()
 
     def number(self, seq: int | None) -> int:
@@ -120,21 +120,22 @@ class Session:
 
     async def track(
         self, frame: Frame, *, dropped: int = 0, controls: list[dict[str, Any]] | None = None
-    ) -> tuple[dict[str, Any], list[ProblemError | None]]:
-        """The Result of one frame, and for each of ``controls``, which act on it, None or its refusal."""
+    ) -> tuple[dict[str, Any], list[ProblemError | None], Stages]:
+        """The Result of one frame; for each of ``controls``, which act on it, None or its refusal; the time it took."""
         args: dict[str, Any] = {"seq": frame.seq}
         if frame.region is not None:
             args["region"] = frame.region
         if controls:
             args["controls"] = controls
         async with self._turn:
+            begun = time.monotonic()
             state = await self._call("track", args, frame.data)
             self._take(state)
             self.trajectory.append(Entry(frame.seq, frame.ts, self.size, self.region, self.rows))
-        total = time.monotonic() - frame.arrived
+        done = time.monotonic()
         decode_s, track_s = state["decode_s"], state["track_s"]
-        queue_s = max(0.0, total - decode_s - track_s)
-        self._metrics.frame(queue_s, decode_s, track_s, total)
+        transit_s = max(0.0, done - begun - decode_s - track_s)
+        stages = Stages(frame.queued - frame.arrived, begun - frame.queued, transit_s, decode_s, track_s)
         result = {
             "type": "result",
             "seq": frame.seq,
@@ -144,13 +145,13 @@ class Session:
             "region": self.region,
             "targets": wiring.targets(state["rows"], state.get("maps")),
             "timing": {
-                "queue_ms": round(queue_s * 1e3, 3),
+                "queue_ms": round((stages.receive + stages.queue + transit_s) * 1e3, 3),
                 "decode_ms": round(decode_s * 1e3, 3),
                 "track_ms": round(track_s * 1e3, 3),
             },
         }
         answers = [refused and _refusal(refused) for refused in state["answers"]]
-        return result, answers
+        return result, answers, stages
 
     async def control(self, control: Mapping[str, Any]) -> tuple[dict[str, Any] | None, list[int] | None]:
         """Add, correct or remove a target on the newest frame: the target, if it is there, and the region."""

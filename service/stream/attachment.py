@@ -7,12 +7,13 @@ import contextlib
 import secrets
 import time
 from collections.abc import Awaitable, Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import structlog
 
 from ..frames.header import sniff
 from ..observability.metrics import Metrics
+from ..observability.stages import Stages
 from ..problems import ProblemError
 from ..schemas.packed import Unreadable
 from ..sessions.bucket import Bucket
@@ -21,6 +22,9 @@ from ..settings import Settings
 from .codec import Codec, Event, Refusal
 from .flow import Flow, Job
 from .messages import Control, Echo, FrameMessage
+
+if TYPE_CHECKING:
+    from opentelemetry.trace import Span
 
 # After the last word the socket may be slow to empty; then it is cut.
 LINGER_S = 5.0
@@ -34,7 +38,7 @@ class StreamAttachment:
     """From ``ready`` to the close; the session lives on.
 
     ``receive`` and ``send`` are those of ASGI, ``abort`` cuts the connection; a fault of ours is told with
-    the ``request_id`` of the handshake.
+    the ``request_id`` of the handshake, and the spans of frames are linked to its ``span``.
     """
 
     def __init__(
@@ -48,12 +52,13 @@ class StreamAttachment:
         send: Callable[[Event], Awaitable[None]],
         abort: Callable[[], None],
         request_id: str,
+        span: Span | None,
     ) -> None:
         self.name = secrets.token_urlsafe(NAME_BYTES)
         self._session, self._codec, self._flow = session, codec, flow
         self._settings, self._metrics = settings, metrics
         self._receive, self._asgi_send, self._abort = receive, send, abort
-        self._request_id = request_id
+        self._request_id, self._span = request_id, span
         self._bucket = Bucket(settings.max_messages_per_s, time.monotonic())
         self._refused_in_a_row = 0
         self._ending = False
@@ -138,10 +143,11 @@ class StreamAttachment:
                 return
             if self._ending:
                 continue
+            arrived = time.monotonic()
             try:
                 message = self._codec.read(event)
                 if isinstance(message, FrameMessage):
-                    await self._take_frame(message)
+                    await self._take_frame(message, arrived)
                 elif message is not None:
                     await self._take_control(message)
             except Unreadable as unreadable:
@@ -151,15 +157,14 @@ class StreamAttachment:
             except ProblemError as problem:
                 await self._refuse(problem)
 
-    async def _take_frame(self, message: FrameMessage) -> None:
+    async def _take_frame(self, message: FrameMessage, arrived: float) -> None:
         session, meta = self._session, message.meta
-        now = time.monotonic()
         self._metrics.stream_frame(len(message.data))
         controls = self._flow.take_for_next()
         seq = meta.seq
         try:
             seq = session.number(seq)
-            self._spend(now)
+            self._spend(arrived)
             if message.problem is not None:
                 raise message.problem
             if len(message.data) > self._settings.max_frame_bytes:
@@ -167,8 +172,9 @@ class StreamAttachment:
                 raise ProblemError("frame-too-large", told)
             if sniff(message.data) is None:
                 raise ProblemError("unsupported-image", "not a JPEG, PNG or WebP image")
-            self._flow.put_frame(Frame(message.data, seq, meta.ts, meta.region, now), controls)
-            session.touched = now
+            queued = time.monotonic()
+            self._flow.put_frame(Frame(message.data, seq, meta.ts, meta.region, arrived, queued), controls)
+            session.touched = queued
         except ProblemError as problem:
             self._flow.refused(controls)
             for refusal in self._refusals(problem, seq, controls):
@@ -198,7 +204,7 @@ class StreamAttachment:
             job = await self._flow.next()
             self._in_lane = True
             try:
-                messages = await self._work(job)
+                messages, stages = await self._work(job)
             except Exception:
                 log.exception("fault in a stream", session=self._session.id)
                 self.end(1011, "internal")
@@ -206,21 +212,25 @@ class StreamAttachment:
             finally:
                 self._in_lane = False
             self._flow.answered(job)
+            begun = time.monotonic()
             for message in messages:
                 await self._send(message)
+            if job.frame is not None and stages is not None:
+                sent_s = time.monotonic() - begun
+                self._metrics.frame(stages, self._session.id, job.frame.seq, self._span, live=False, sent_s=sent_s)
 
-    async def _work(self, job: Job) -> list[dict[str, Any]]:
-        """Have the job done; what the client is told."""
+    async def _work(self, job: Job) -> tuple[list[dict[str, Any]], Stages | None]:
+        """Have the job done; what the client is told, and the time a tracked frame took."""
         session = self._session
         try:
             if job.frame is None:
                 control = job.controls[0]
                 await session.control(control.command)
-                return [self._targets(control)]
+                return [self._targets(control)], None
             commands = [control.command for control in job.controls]
-            result, answers = await session.track(job.frame, controls=commands)
+            result, answers, stages = await session.track(job.frame, controls=commands)
         except ProblemError as problem:
-            return self._refusals(problem, job.frame.seq if job.frame else None, job.controls)
+            return self._refusals(problem, job.frame.seq if job.frame else None, job.controls), None
         result["dropped"] = self._flow.take_dropped()
         messages = []
         for control, refused in zip(job.controls, answers, strict=True):
@@ -229,7 +239,7 @@ class StreamAttachment:
             else:
                 messages += self._refusals(refused, None, [control])
         messages.append(result)
-        return messages
+        return messages, stages
 
     def _targets(self, control: Control) -> dict[str, Any]:
         message: dict[str, Any] = {"type": "targets"}

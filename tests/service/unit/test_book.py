@@ -152,7 +152,7 @@ async def test_streams_are_closed_with_the_code_of_the_end(reason: str, close: i
     assert stream.ends == [close]
     assert gone(world, session) == ("session-gone", reason)
     with pytest.raises(ProblemError) as refused:
-        await session.track(Frame(b"", 1, None, None, 0.0))
+        await session.track(Frame(b"", 1, None, None, 0.0, 0.0))
     assert code_of(refused) == ("session-gone", reason)
 
 
@@ -263,7 +263,7 @@ async def test_one_operation_of_a_session_at_a_time() -> None:
         return reply
 
     world.lanes.call = watched  # type: ignore[method-assign]
-    frames = [Frame(b"", session.number(None), None, None, 0.0) for _ in range(10)]
+    frames = [Frame(b"", session.number(None), None, None, 0.0, 0.0) for _ in range(10)]
     results = await asyncio.gather(*(session.track(frame) for frame in frames))
-    assert [result["seq"] for result, _ in results] == list(range(1, 11))
+    assert [result["seq"] for result, *_ in results] == list(range(1, 11))
     assert len(session.trajectory) == 11
