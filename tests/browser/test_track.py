@@ -174,7 +174,7 @@ async def test_a_video_file_to_its_end(open_page: Open, camera_frames: list[byte
         await user.until("document.getElementById('hint').innerText.includes('End of the video')")
         told = await user.boxes()
         assert len(told["frames"]) == 50
-        assert (told["size"], told["source"]) == ([320, 240], "david.webm")
+        assert (told["frames"][0]["size"], told["source"]) == ([320, 240], "david.webm")
         lines = list(csv.DictReader((await user.export("csv")).read_text().splitlines()))
         assert [float(line["time_s"]) for line in lines] == pytest.approx([i / 25 for i in range(50)], abs=2e-3)
         assert {line["target"] for line in lines} == {"1"}

@@ -2,61 +2,59 @@
 
 import { fittedSize } from "/static/client/mfcmt.js";
 import { announce, byId } from "./dom.js";
+import { Frames } from "./frames.js";
 import { History } from "./history.js";
-import { Maps } from "./maps.js";
-import { Figures, TargetList, connection, log, notice } from "./panels.js";
+import { connection, log, notice } from "./panels.js";
 import { Player } from "./player.js";
-import { explain } from "./problems.js";
 import { Recorder } from "./recorder.js";
 import { OF_THE_SESSION, Settings } from "./settings.js";
 import { Stage } from "./stage.js";
-import { Strips } from "./strips.js";
 import { Tracking } from "./tracking.js";
+import { Trouble } from "./trouble.js";
+import { View } from "./view.js";
 
-const PANELS_MS = 66;
 const FIGURES_MS = 250;
-const SAME_PROBLEM_MS = 3000;
 
 /** States: `idle` (no source), `open` (a source, no run), `starting`, `tracking`, `ended` (the run broke off). */
 export class App {
   state = "idle";
-  chosen = null;
   adding = false;
   skipped = 0;
-  exportSize = [0, 0];
   history = new History();
   recorder = new Recorder();
-  strips = new Strips();
-  maps = new Maps();
-  figures = new Figures();
   tracking = null;
-  trackMs = null;
+  #frames = new Frames();
   #shownTime = 0;
   #base = 0;
-  #panelsAt = 0;
   #sending = false;
-  #problem = { code: null, at: 0 };
 
   /** `changed()` after whatever the controls show has changed; `askKey()` resolves to whether one was given. */
   constructor({ changed, askKey }) {
-    Object.assign(this, { changed, askKey });
+    this.changed = changed;
+    this.trouble = new Trouble({ clock: () => this.clock(), askKey });
     this.settings = new Settings((name) => this.#setting(name));
-    this.targets = new TargetList({ onchoose: (id) => this.choose(id), onremove: (id) => this.remove(id) });
     this.stage = new Stage(byId("stage"), byId("picture"), byId("overlay"), {
       onbox: (box) => this.box(box),
-      onpick: (point) => this.#pick(point),
+      onpick: (point) => this.choose(this.view.at(point)),
       onhold: (on) => {
         this.player.hold(on);
         this.changed();
       },
     });
+    const { history, stage, recorder, settings } = this;
+    const handlers = { onchoose: (id) => this.choose(id), onremove: (id) => this.remove(id) };
+    this.view = new View({ history, stage, recorder, settings, ...handlers });
     this.player = new Player({
       deliver: () => this.#deliver(),
       preview: () => this.#preview(),
-      changed: () => this.#moved(),
+      changed: () => this.changed(),
     });
-    this.stage.scene.trail = this.settings.values.trail;
-    setInterval(() => this.#figures(), FIGURES_MS);
+    setInterval(() => this.tracking?.stream && this.view.figures(this.tracking.stream.stats, this.skipped), FIGURES_MS);
+  }
+
+  /** The target that a new box corrects. */
+  get chosen() {
+    return this.view.chosen;
   }
 
   get source() {
@@ -70,12 +68,12 @@ export class App {
     try {
       source = await opening();
     } catch (error) {
-      this.#tell(error, { again: () => this.open(opening) });
+      this.trouble.tell(error, { again: () => this.open(opening) });
       return false;
     }
     this.#leave();
     this.player.open(source);
-    source.onend = after(source.onend, () => source.live && this.#tell({ code: "camera-ended" }, { again: () => this.open(opening) }));
+    source.onend = after(source.onend, () => source.live && this.trouble.tell({ code: "camera-ended" }, { again: () => this.open(opening) }));
     this.stage.scene.suggestion = source.suggestion;
     this.#to("open");
     this.#preview();
@@ -109,15 +107,15 @@ export class App {
   }
 
   /** A new session for the targets of now, where they are now. */
-  async restart() {
+  async restart(play = true) {
     const targets = [...this.history.targets.values()];
     this.tracking?.stop();
     if (!targets.length) {
       this.#to("open");
       return;
     }
-    this.#base = (this.history.frames.at(-1)?.seq ?? -1) + 1;
-    await this.#start(targets.map(({ box }) => box), targets.map(({ id }) => id));
+    this.#base = this.history.next;
+    await this.#start(targets.map(({ box }) => box), targets.map(({ id }) => id), play);
   }
 
   /** End the run; the source stays. */
@@ -126,8 +124,7 @@ export class App {
     this.tracking = null;
     this.player.pause();
     this.history.targets.clear();
-    this.chosen = null;
-    this.maps.clear();
+    this.view.clearMaps();
     log.add(this.clock(), "Stopped");
     this.#to("open");
     if (this.source?.live) this.player.play();
@@ -141,7 +138,8 @@ export class App {
   }
 
   choose(id) {
-    if (this.history.targets.has(id)) this.chosen = id;
+    if (!this.history.targets.has(id)) return;
+    this.view.chosen = id;
     this.adding = false;
     this.#panels(true);
   }
@@ -150,12 +148,11 @@ export class App {
     try {
       await this.tracking?.remove(id);
     } catch (error) {
-      this.#tell(error);
+      this.trouble.tell(error);
       return;
     }
     this.history.targets.delete(id);
     log.add(this.clock(), `Target ${id}`, "removed");
-    if (this.chosen === id) this.chosen = [...this.history.targets.keys()][0] ?? null;
     this.#panels(true);
   }
 
@@ -165,51 +162,51 @@ export class App {
     return `${Math.floor(seconds / 60)}:${(seconds % 60).toFixed(1).padStart(4, "0")}`;
   }
 
-  async #start(boxes, ids) {
+  async #start(boxes, ids, play = true) {
     const { values } = this.settings;
     const size = this.#size();
-    const slot = this.#same(size) ? this.#shown() : this.#grab(size);
+    const { picture } = this.stage;
+    const frame = picture.width === size[0] && picture.height === size[1] ? this.#shown() : this.#grab(size);
     this.#to("starting");
     const tracking = new Tracking({
       number: () => this.history.number(),
-      onresult: (result, of, frame) => this.tracking === tracking && this.#result(result, of, frame),
-      onstatus: (change) => this.#status(change),
-      onproblem: (error) => this.#refused(error),
+      onresult: (result, of, seen) => this.tracking === tracking && this.#result(result, of, seen),
+      onstatus: (change) => this.trouble.status(change),
+      onproblem: (error) => this.trouble.refused(error),
+      onspare: (frame) => this.#frames.release(frame),
       onend: (error) => this.#ended(error),
     });
     this.tracking?.stop();
     this.tracking = tracking;
-    this.exportSize = this.source.size;
     this.skipped = 0;
-    this.trackMs = null;
     try {
-      await tracking.start(slot, boxes.map((box) => pixels(box, size)), ids, { ...values, label: this.source.name });
+      await tracking.start(frame, boxes.map((box) => pixels(box, size)), ids, { ...values, label: this.source.name });
     } catch (error) {
       if (this.tracking !== tracking) return;
       this.tracking = null;
       this.#to(ids.some((id) => this.history.targets.has(id)) ? "ended" : "open");
-      this.#tell(error, { again: () => this.#start(boxes, ids) });
+      this.trouble.tell(error, { again: () => this.#start(boxes, ids, play) });
       return;
     }
     notice.hide();
     this.stage.scene.suggestion = null;
     this.#to("tracking");
     this.player.exact = values.mode === "lossless";
-    await this.player.play();
+    if (play) await this.player.play();
   }
 
   async #place(box) {
     const target = this.adding || this.chosen === null ? null : this.chosen;
-    const slot = this.#shown();
+    const frame = this.#shown();
     try {
       if (target !== null) this.history.restart(target);
-      await this.tracking.place(slot, pixels(box, [slot.canvas.width, slot.canvas.height]), target);
-      if (target !== null) log.add(this.clock(slot.time), `Target ${target}`, "corrected");
-      if (target === null) this.chosen = [...this.history.targets.keys()].at(-1) ?? this.chosen;
+      await this.tracking.place(frame, pixels(box, [frame.canvas.width, frame.canvas.height]), target);
+      if (target !== null) log.add(this.clock(frame.time), `Target ${target}`, "corrected");
+      if (target === null) this.view.chosen = [...this.history.targets.keys()].at(-1) ?? this.chosen;
       this.adding = false;
       notice.hide();
     } catch (error) {
-      this.#tell(error);
+      this.trouble.tell(error);
     }
     this.#panels(true);
   }
@@ -235,91 +232,45 @@ export class App {
     this.#shownTime = this.source.time;
     this.stage.show(this.source.video, this.#size());
     if (this.source.suggestion) this.stage.scene.suggestion = this.source.time === 0 && this.state === "open" ? this.source.suggestion : null;
-    this.#draw();
-    this.#moved();
+    this.#panels();
+    this.changed();
   }
 
-  #result(result, ids, slot) {
-    if (slot) {
-      this.#shownTime = slot.time;
-      this.stage.show(slot.canvas, [slot.canvas.width, slot.canvas.height]);
+  #result(result, ids, frame) {
+    if (frame) {
+      this.#shownTime = frame.time;
+      this.stage.show(frame.canvas, [frame.canvas.width, frame.canvas.height]);
     }
-    if (result.timing) this.trackMs = smooth(this.trackMs, result.timing.track_ms);
-    const changes = this.history.note({ ...result, seq: result.seq + this.#base }, ids, slot ? slot.time : this.#shownTime);
+    if (result.timing) this.view.took(result.timing.track_ms);
+    const numbered = { ...result, seq: result.seq + this.#base };
+    const changes = this.history.note(numbered, ids, this.#shownTime, this.source.size);
     for (const { id, from, to, time } of changes) {
       log.add(this.clock(time), `Target ${id}`, from ? to : "started", to);
       if (from) announce(`Target ${id} ${to}`);
     }
-    if (!this.history.targets.has(this.chosen)) this.chosen = ids[0] ?? null;
     this.#panels(changes.length > 0);
   }
 
-  #status({ status, previous, error }) {
-    if (status === "open") {
-      connection("Tracking", "good");
-      if (this.lost) {
-        log.add(this.clock(), "Connection", "is back; tracking goes on");
-        notice.hide();
-      }
-      this.lost = false;
-    } else if (status === "resuming" || status === "draining") {
-      connection("Reconnecting…", "busy");
-      if (!this.lost) {
-        const text = status === "draining" ? "The server is being restarted." : "The network or the server broke off.";
-        log.add(this.clock(), "Connection", "lost; trying again");
-        notice.show({ title: "Reconnecting", text: `${text} Tracking goes on by itself.` }, { tone: "busy" });
-      }
-      this.lost = true;
-    } else if (status === "connecting" && !previous) {
-      connection("Connecting…", "busy");
-    }
-    if (error && status === "closed") return;
-    this.changed();
-  }
-
-  /** One frame or control was refused; the run goes on. */
-  #refused(error) {
-    const now = performance.now();
-    if (error.code === this.#problem.code && now - this.#problem.at < SAME_PROBLEM_MS) return;
-    this.#problem = { code: error.code, at: now };
-    log.add(this.clock(), "Refused", error.detail || error.code, "uncertain");
-  }
-
-  /** The run is over, and not because somebody wanted it. */
   #ended(error) {
     this.tracking.stop();
     this.tracking = null;
     this.player.pause();
-    this.lost = false;
-    log.add(this.clock(), "Ended", explain(error).title, "lost");
     this.#to("ended");
-    this.#tell(error);
-  }
-
-  #tell(error, { again } = {}) {
-    const told = explain(error);
-    const actions = {
-      again,
-      restart: this.history.targets.size ? () => this.restart() : null,
-      key: async () => (await this.askKey(error)) && (again ? again() : this.restart()),
-    };
-    notice.show(told, { onaction: actions[told.action] ?? null });
-    if (told.action === "key") actions.key();
+    this.trouble.ended(error, { restart: () => this.restart() });
   }
 
   async #setting(name) {
     const { values } = this.settings;
-    this.stage.scene.trail = values.trail;
-    if (!values.maps) this.maps.clear();
+    if (!values.maps) this.view.clearMaps();
     if (this.state === "open") this.#preview();
-    if (this.state === "tracking" && OF_THE_SESSION.includes(name)) await this.restart();
+    if (this.state === "tracking" && OF_THE_SESSION.includes(name)) await this.restart(this.player.playing);
     if (this.state === "tracking" && name === "mode") {
       this.tracking.attach(values);
       this.player.exact = values.mode === "lossless";
       await this.player.refresh();
     }
     if (this.tracking?.stream) Object.assign(this.tracking.stream, { quality: values.quality, regions: values.regions });
-    this.#draw();
+    this.#panels();
   }
 
   #size() {
@@ -327,40 +278,23 @@ export class App {
     return fittedSize(width, height, this.settings.values.maxSide || null);
   }
 
-  #same([width, height]) {
-    return this.stage.picture.width === width && this.stage.picture.height === height;
-  }
-
   #grab(size) {
-    const canvas = (this.tracking ?? new Tracking({})).canvas(size);
-    canvas.getContext("2d").drawImage(this.source.video, 0, 0, ...size);
-    return { canvas, time: this.source.time, pooled: true };
+    return this.#frames.grab(this.source.video, size, this.source.time);
   }
 
-  /** A copy of the picture as it is shown. */
+  /** The picture as it is shown, kept. */
   #shown() {
     const { picture } = this.stage;
-    const canvas = Object.assign(document.createElement("canvas"), { width: picture.width, height: picture.height });
-    canvas.getContext("2d").drawImage(picture, 0, 0);
-    return { canvas, time: this.#shownTime };
-  }
-
-  #pick([x, y]) {
-    const inside = ({ box: [left, top, w, h] }) => x >= left && x <= left + w && y >= top && y <= top + h;
-    const hit = [...this.history.targets.values()].filter(inside).sort((a, b) => a.box[2] * a.box[3] - b.box[2] * b.box[3])[0];
-    if (hit) this.choose(hit.id);
+    return this.#frames.grab(picture, [picture.width, picture.height], this.#shownTime);
   }
 
   #leave() {
     this.tracking?.stop();
     this.tracking = null;
-    this.lost = false;
     this.history.clear();
-    this.chosen = null;
     this.adding = false;
     log.clear();
-    this.maps.clear();
-    this.figures.clear();
+    this.view.clear();
     this.#panels(true);
   }
 
@@ -372,41 +306,12 @@ export class App {
     this.#panels(true);
   }
 
-  #moved() {
-    this.changed();
-  }
-
-  #draw() {
-    const { scene, root } = this.stage;
-    root.dataset.frames = this.history.frames.length;
-    scene.targets = [...this.history.targets.values()];
-    scene.chosen = this.chosen;
-    this.stage.draw();
-    this.recorder.take(this.stage.picture, scene);
-  }
-
-  /** The parts beside the picture, not more often than the eye sees. */
   #panels(now = false) {
-    this.#draw();
-    const at = performance.now();
-    if (!now && at - this.#panelsAt < PANELS_MS) return;
-    this.#panelsAt = at;
-    const target = this.history.targets.get(this.chosen);
-    this.targets.draw([...this.history.targets.values()], this.chosen, this.exportSize);
-    this.strips.draw(target);
-    if (this.settings.values.maps) this.maps.draw(target).catch(() => {});
-    this.changed();
-  }
-
-  #figures() {
-    if (this.tracking?.stream) this.figures.draw(this.tracking.stream.stats, this.skipped, this.trackMs);
+    if (this.view.draw(this.source?.size ?? [0, 0], now)) this.changed();
   }
 }
 
 const pixels = ([x, y, w, h], [width, height]) => [x * width, y * height, w * width, h * height];
-
-/** A mean that forgets, so that the figure can be read. */
-const smooth = (mean, value) => (mean === null ? value : mean + 0.1 * (value - mean));
 
 const after = (first, second) => () => {
   first();

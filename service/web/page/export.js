@@ -2,9 +2,9 @@
 
 const COLUMNS = ["frame", "time_s", "target", "x", "y", "w", "h", "status", "reliable", "fused", "template", "statistical", "psr", "scale"];
 
-/** `size` is the source's own, [w, h]. */
-export function toCsv(frames, size) {
-  const lines = frames.flatMap(({ seq, time, rows }) =>
+/** `frames` of the history. */
+export function toCsv(frames) {
+  const lines = frames.flatMap(({ seq, time, size, rows }) =>
     rows.map(({ target, box, status, reliable, scores, psr, scale }) => {
       const { fused, template, statistical } = scores ?? {};
       const cells = [seq, seconds(time), target, ...pixels(box, size), status, reliable, fused, template, statistical, psr, scale];
@@ -14,13 +14,15 @@ export function toCsv(frames, size) {
   return [COLUMNS.join(","), ...lines, ""].join("\n");
 }
 
-export function toJson(frames, size, source) {
-  const told = frames.map(({ seq, time, rows }) => ({
+/** `source` is its name. */
+export function toJson(frames, source) {
+  const told = frames.map(({ seq, time, size, rows }) => ({
     frame: seq,
     time_s: seconds(time),
+    size,
     targets: rows.map(({ target, box, ...rest }) => ({ target, box: pixels(box, size), ...rest })),
   }));
-  return `${JSON.stringify({ source, size, frames: told }, null, 1)}\n`;
+  return `${JSON.stringify({ source, frames: told }, null, 1)}\n`;
 }
 
 const seconds = (time) => Math.round(time * 1e4) / 1e4;

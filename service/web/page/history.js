@@ -22,8 +22,11 @@ export class History {
     this.#next = 1;
   }
 
-  /** Take a result in; `ids` are the page's numbers for its targets. The changes of status it brought. */
-  note({ seq, size, targets }, ids, time) {
+  /**
+   * Take a result in; `ids` are the page's numbers for its targets, `of` is the source's size at `time`.
+   * The changes of status it brought.
+   */
+  note({ seq, size, targets }, ids, time, of) {
     const [width, height] = size;
     const changes = [];
     const rows = targets.map((target, i) => {
@@ -40,7 +43,7 @@ export class History {
       return { target: id, box, status, reliable, scores, psr, scale };
     });
     for (const id of this.targets.keys()) if (!ids.includes(id)) this.targets.delete(id);
-    this.#keep({ seq, time, rows });
+    this.#keep({ seq, time, size: of, rows });
     return changes;
   }
 
@@ -52,6 +55,11 @@ export class History {
 
   get frames() {
     return this.#frames;
+  }
+
+  /** The number that the next frame takes when a new session goes on. */
+  get next() {
+    return (this.#frames.at(-1)?.seq ?? -1) + 1;
   }
 
   #keep(frame) {

@@ -118,7 +118,7 @@ async function record() {
 
 function exportBoxes(format) {
   const { frames } = app.history;
-  const text = format === "csv" ? toCsv(frames, app.exportSize) : toJson(frames, app.exportSize, app.source?.name ?? null);
+  const text = format === "csv" ? toCsv(frames) : toJson(frames, app.source?.name ?? null);
   download(new Blob([text], { type: format === "csv" ? "text/csv" : "application/json" }), `${fileName()}.${format}`);
   byId("export").hidePopover();
 }

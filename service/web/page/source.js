@@ -32,8 +32,12 @@ export class Source {
     return this.live ? Infinity : this.video.duration;
   }
 
-  play() {
-    return this.video.play();
+  async play() {
+    try {
+      await this.video.play();
+    } catch (error) {
+      if (error.name !== "AbortError") throw error; // paused before it began
+    }
   }
 
   /** Files stop; a camera goes on, and whoever paused does not look. */

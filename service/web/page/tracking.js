@@ -13,13 +13,13 @@ export const key = {
 };
 
 /**
- * `onresult(result, ids, slot)`, `onstatus(change)`, `onproblem(error)`, `onend(error)`: what comes of it.
- * A slot is a frame that was grabbed, `{canvas, time}`; it is handed back with its result.
+ * What comes of it: `onresult(result, ids, frame)`, `onstatus(change)`, `onproblem(error)`, `onend(error)`, and
+ * `onspare(frame)` for frames, `{canvas, time}`, that are done with. `number()` gives a target that is new to the
+ * page its number.
  */
 export class Tracking {
   #ids = new Map();
-  #slots = new Map();
-  #free = [];
+  #frames = new Map();
   #sent = 0;
   #ended = false;
 
@@ -27,29 +27,32 @@ export class Tracking {
     Object.assign(this, handlers);
   }
 
-  /** Start on `slot` with `boxes` (pixels of it), numbered `ids` on the page. */
-  async start(slot, boxes, ids, { mode, quality, regions, maps, preset, label }) {
+  /** Start on `frame` with `boxes` (pixels of it), numbered `ids` on the page. */
+  async start(frame, boxes, ids, { mode, quality, regions, maps, preset, label }) {
     this.client = new Client({ key: key.get() });
-    const options = { preset, maps, label: label.slice(0, 200), idle_timeout_s: IDLE_S };
-    this.session = await this.client.createSession({ frame: slot.canvas, boxes, options, quality });
+    // a phone that is turned goes on, too
+    const options = { preset, maps, on_resize: "rescale", label: label.slice(0, 200), idle_timeout_s: IDLE_S };
+    this.session = await this.client.createSession({ frame: frame.canvas, boxes, options, quality });
     if (this.#ended) {
       this.session.close().catch(() => {});
       return;
     }
     const { seq, size, targets } = this.session.info;
     targets.forEach((target, i) => this.#ids.set(target.id, ids[i]));
-    this.onresult({ seq, size, targets, timing: null }, ids, slot);
+    this.onresult({ seq, size, targets, timing: null }, ids, frame);
+    this.onspare(frame);
     this.attach({ mode, quality, regions });
   }
 
   /** Stream from now on in `mode`. */
   attach({ mode, quality, regions }) {
     this.stream?.close();
-    this.#slots.clear();
-    const stream = this.session.stream({ mode, quality, regions });
+    this.#frames.clear();
+    const takeover = Boolean(this.stream); // of the attachment that was just closed
+    const stream = this.session.stream({ mode, quality, regions, takeover });
     this.stream = stream;
     stream.on("status", (change) => this.stream === stream && !this.#ended && this.onstatus(change));
-    stream.on("problem", (error) => this.#refused(error));
+    stream.on("problem", (error) => this.stream === stream && !this.#ended && this.onproblem(error));
     this.#listen(stream);
   }
 
@@ -62,20 +65,13 @@ export class Tracking {
     return Boolean(this.stream?.canSend);
   }
 
-  /** A canvas of `size` that nobody needs any more, or a new one. */
-  canvas([width, height]) {
-    const canvas = this.#free.pop() ?? document.createElement("canvas");
-    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    return canvas;
-  }
-
   /** Send a grabbed frame; resolves when the next may be sent. */
-  async send(slot, options = {}) {
+  async send(frame, options = {}) {
     const { stream } = this;
     const ts = ++this.#sent;
-    this.#slots.set(ts, slot);
+    this.#frames.set(ts, frame);
     try {
-      const seq = await stream.send(slot.canvas, { ts, ...options });
+      const seq = await stream.send(frame.canvas, { ts, ...options });
       if (seq === null) this.#release(ts);
     } catch (error) {
       this.#release(ts);
@@ -83,14 +79,14 @@ export class Tracking {
     }
   }
 
-  /** A box on the very frame of `slot`: a new target, or `target` (the page's number) put right. */
-  async place(slot, box, target = null) {
+  /** A box on this very frame: a new target, or `target` (the page's number) put right. */
+  async place(frame, box, target = null) {
     const { stream } = this;
     await stream.ready;
     const onNext = { onNext: true };
     const answer = target === null ? stream.add(box, onNext) : stream.correct(this.#server(target), box, onNext);
     answer.catch(() => {}); // until it is awaited below
-    await this.send(slot, { whole: true });
+    await this.send(frame, { whole: true });
     return answer;
   }
 
@@ -98,7 +94,7 @@ export class Tracking {
     return this.stream.remove(this.#server(target));
   }
 
-  /** The page's numbers of these targets; `number()` gives one to a target that is new. */
+  /** The page's numbers of these targets. */
   numbered(targets) {
     return targets.map(({ id }) => {
       if (!this.#ids.has(id)) this.#ids.set(id, this.number());
@@ -125,17 +121,12 @@ export class Tracking {
     try {
       for await (const result of stream) {
         if (this.stream !== stream || this.#ended) return;
-        const slot = this.#slots.get(result.ts);
-        this.onresult(result, this.numbered(result.targets), slot);
-        for (const ts of this.#slots.keys()) if (ts <= result.ts) this.#release(ts);
+        this.onresult(result, this.numbered(result.targets), this.#frames.get(result.ts));
+        for (const ts of this.#frames.keys()) if (ts <= result.ts) this.#release(ts);
       }
     } catch (error) {
       if (this.stream === stream && !this.#ended) this.onend(error);
     }
-  }
-
-  #refused(error) {
-    if (!this.#ended) this.onproblem(error);
   }
 
   #server(target) {
@@ -144,8 +135,7 @@ export class Tracking {
   }
 
   #release(ts) {
-    const slot = this.#slots.get(ts);
-    this.#slots.delete(ts);
-    if (slot?.pooled) this.#free.push(slot.canvas);
+    const frame = this.#frames.get(ts);
+    if (this.#frames.delete(ts)) this.onspare(frame);
   }
 }

@@ -34,10 +34,10 @@ def browser_path() -> str | None:
 
 
 class Pages:
-    """Serves the client at ``/static/client/``, the harness and ``frames``; ``policy`` is the page's CSP."""
+    """Serves the client at ``/static/client/``, ``frames`` and what is in ``root``; ``policy`` is the pages' CSP."""
 
-    def __init__(self, frames: list[bytes], policy: str) -> None:
-        self.frames, self.policy = frames, policy
+    def __init__(self, frames: list[bytes], policy: str, root: Path = HERE) -> None:
+        self.frames, self.policy, self.root = frames, policy, root
         handler = functools.partial(_Handler, self)
         self._server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
@@ -73,6 +73,9 @@ class _Handler(SimpleHTTPRequestHandler):
             self.send_header("Content-Length", str(len(data)))
             self.end_headers()
             self.wfile.write(data)
+        elif self.path == "/favicon.ico":
+            self.send_response(204)
+            self.end_headers()
         else:
             super().do_GET()
 
@@ -80,7 +83,7 @@ class _Handler(SimpleHTTPRequestHandler):
         client = "/static/client/"
         if path.startswith(client):
             return str(PACKAGE / path.removeprefix(client))
-        return str(HERE / path.lstrip("/"))
+        return str(self._pages.root / path.partition("?")[0].lstrip("/"))
 
     def end_headers(self) -> None:
         self.send_header("Content-Security-Policy", self._pages.policy)
