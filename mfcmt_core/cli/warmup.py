@@ -1,9 +1,9 @@
 """``mfcmt warmup``: compile the kernels for this CPU and keep them on disk.
 
 numba keeps what it compiles beside the source, or, where that cannot be written, in the user's cache folder
-(``NUMBA_CACHE_DIR`` names another). It finds it again by CPU, source time and types, so on another CPU, or
-after an update, this compiles anew and the old entries stay for the CPU that made them. numba does not read
-a folder that it may not write: what a read-only tree holds ready is therefore copied to the user's folder.
+(``NUMBA_CACHE_DIR`` names another). It finds it again by CPU, source and types, so on another CPU, or after an
+update, this compiles anew and the old entries stay for the CPU that made them. What lies ready beside the
+source is copied to a folder that is still empty.
 """
 
 from __future__ import annotations

@@ -1,11 +1,15 @@
-"""One place that says how kernels are compiled."""
+"""One place that says how kernels are compiled, and where what was compiled is found again."""
 
+# mypy: allow-untyped-calls
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
-from typing import Any
+from pathlib import Path
+from typing import Any, cast
 
 import numba
+from numba.core import caching
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -13,7 +17,55 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
 
     ``fastmath`` lets sums be vectorised; inputs are finite by construction.
     """
-    try:
-        return numba.njit(cache=True, fastmath=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:  # no writable place for the cache at all: compile in memory
-        return numba.njit(fastmath=True, nogil=True, error_model="numpy")(function)
+    dispatcher: Any = numba.njit(fastmath=True, nogil=True, error_model="numpy")(function)
+    dispatcher._cache = _Cache(function)
+    return cast("Callable[..., Any]", dispatcher)
+
+
+class _Ready:
+    """A place that need not be writable: numba itself passes over a cache that it could not also fill."""
+
+    def ensure_cache_path(self) -> None:
+        pass
+
+
+class _ReadyWhereTold(_Ready, caching.UserProvidedCacheLocator):
+    pass
+
+
+class _ReadyBesideSource(_Ready, caching.InTreeCacheLocator):
+    pass
+
+
+class _ReadyImpl(caching.CompileResultCacheImpl):
+    _locator_classes: list[type[object]] = [_ReadyWhereTold, _ReadyBesideSource]  # noqa: RUF012
+
+
+class _ReadyCache(caching.FunctionCache):
+    _impl_class = _ReadyImpl
+
+
+class _Cache:
+    """numba's cache of one function; behind it, writable or not, what was put into ``NUMBA_CACHE_DIR`` or else
+    beside the source when this was installed. With no place to write, the rest is compiled in memory."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._own: Any = caching.NullCache()
+        self._ready: Any = caching.NullCache()
+        with contextlib.suppress(RuntimeError):  # numba finds no writable place
+            self._own = caching.FunctionCache(function)
+        ready: Any = _ReadyCache(function)
+        if Path(ready.cache_path, f"{ready._impl.filename_base}.nbi").exists():
+            self._ready = ready
+
+    @property
+    def cache_path(self) -> str | None:
+        path: str | None = self._own.cache_path or self._ready.cache_path
+        return path
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        own = self._own.load_overload(sig, target_context)
+        return own if own is not None else self._ready.load_overload(sig, target_context)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        self._own.save_overload(sig, data)

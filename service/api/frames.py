@@ -35,11 +35,14 @@ async def post_frame(
     arrived = time.monotonic()
     number = seq
     try:
+        service.meter.frame(session.owner)
         upload = await bodies.read_upload(request, service.settings, raw=True)
+        service.meter.add_bytes(session.owner, len(upload.frame))
         service.metrics.http_frame(len(upload.frame))
         told = {"ts": ts, "region": region and [int(v) for v in region.split(",")]} | upload.fields
         number = fields.seq(told.pop("seq", seq))
-        frame = Frame(upload.frame, 0, fields.echo("ts", told.pop("ts")), fields.region(told.pop("region")), arrived)
+        echo, cut = fields.echo("ts", told.pop("ts")), fields.region(told.pop("region"))
+        frame = Frame(upload.frame, 0, echo, cut, arrived, time.monotonic())
         bodies.nothing_more(told)
         _check_free(session, service.settings.credit_frames)
         if sniff(frame.data) is None:
@@ -50,10 +53,11 @@ async def post_frame(
     frame.seq = session.number(number)
     session.http_waiting += 1
     try:
-        result, _ = await session.track(frame)
+        result, _, stages = await session.track(frame)
     finally:
         session.http_waiting -= 1
     session.touched = time.monotonic()
+    service.metrics.frame(stages, session.id, frame.seq, request.scope["state"].get("span"), live=True)
     return answer(accepted, 200, result)
 
 

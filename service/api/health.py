@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from fastapi import APIRouter
-from prometheus_client import CONTENT_TYPE_PLAIN_0_0_4
 from starlette.requests import Request
 from starlette.responses import Response
 
@@ -31,6 +30,8 @@ async def readyz(service: ServiceDep) -> Response:
     health = _health(service)
     if health["status"] == "draining":
         raise ProblemError("draining", "the service is going away", retry_after_s=1.0, **_lanes(health))
+    if health["status"] == "failing":
+        raise ProblemError("at-capacity", "lanes die again and again", retry_after_s=1.0, **_lanes(health))
     if health["status"] == "starting":
         raise ProblemError("at-capacity", "no lane is ready yet", retry_after_s=1.0, **_lanes(health))
     return answer(JSON, 200, health)
@@ -40,13 +41,18 @@ async def readyz(service: ServiceDep) -> Response:
 async def metrics(request: Request, service: ServiceDep) -> Response:
     """Prometheus' text format."""
     service.gate.check_admin(request.headers)
-    return Response(service.metrics.text(), headers={"Content-Type": CONTENT_TYPE_PLAIN_0_0_4})
+    text, media_type = await service.exposition.text(request.headers.get("accept", ""))
+    return Response(text, headers={"Content-Type": media_type})
 
 
 def _health(service: Service) -> dict[str, Any]:
     lanes = service.lanes.status()
     ready = sum(status.ready for status in lanes)
-    status = "draining" if service.book.draining else "ok" if ready else "starting"
+    status = "ok" if ready else "starting"
+    if any(lane.failing for lane in lanes):
+        status = "failing"
+    if service.book.draining:
+        status = "draining"
     return {"status": status, "lanes_ready": ready, "lanes": len(lanes)}
 
 

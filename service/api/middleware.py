@@ -12,6 +12,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from ..connections import CROWDED
 from ..problems import CATALOGUE, ProblemError
 from ..service import Service
 from .answers import problem_response
@@ -20,6 +21,7 @@ SANE_ID = re.compile(r"[A-Za-z0-9._:/+=-]{1,128}")
 # Calls that come all the time are logged at debug; frames only if they are tracked.
 PROBES = {"/livez", "/readyz", "/metrics"}
 FRAMES = "/v1/sessions/{session_id}/frames"
+STREAM = "/v1/sessions/{session_id}/stream"
 SAFE_HEADERS = (
     ("X-Content-Type-Options", "nosniff"),
     ("Cache-Control", "no-store"),
@@ -47,8 +49,12 @@ class Surroundings:
         scope.setdefault("state", {})["request_id"] = request_id
         structlog.contextvars.clear_contextvars()
         structlog.contextvars.bind_contextvars(request_id=request_id)
+        if (tracing := self._service.metrics.tracing) is not None:
+            span = scope["state"]["span"] = tracing.begin(scope.get("method", "GET"), headers)
+            if trace_id := tracing.id(span):
+                structlog.contextvars.bind_contextvars(trace_id=trace_id)
         if scope["type"] == "websocket":
-            await self._app(scope, receive, _with_id(send, request_id))
+            await self._app(scope, receive, self._handshake(scope, send, request_id))
         else:
             await self._http(scope, receive, send, headers, request_id)
 
@@ -69,6 +75,8 @@ class Surroundings:
 
         try:
             self._service.gate.check_origin(headers)
+            if scope["state"].get(CROWDED) and scope["path"] not in PROBES:
+                raise _crowded()
             if scope["method"] == "OPTIONS" and "access-control-request-method" in headers:
                 await _preflight(headers)(scope, receive, answer)
             else:
@@ -107,8 +115,30 @@ class Surroundings:
         if problem is not None:
             metrics.problems.labels(code=problem.code).inc()
             line |= {"code": problem.code, "detail": problem.detail}
+        self._trace(scope, path, status)
         write = log.debug if path in PROBES or (path == FRAMES and problem is None) else log.info
         write("call", **line, ms=round(took_s * 1e3, 3))
+
+    def _trace(self, scope: Scope, path: str, status: int) -> None:
+        if (tracing := self._service.metrics.tracing) is not None:
+            problem = scope["state"].get("problem")
+            method = _known(scope.get("method", "GET"))
+            tracing.end(scope["state"]["span"], method, path, status, problem and problem.code)
+
+    def _handshake(self, scope: Scope, send: Send, request_id: str) -> Send:
+        async def answer(message: Message) -> None:
+            if message["type"] in ("websocket.accept", "websocket.http.response.start"):
+                MutableHeaders(raw=message.setdefault("headers", []))["X-Request-ID"] = request_id
+                self._trace(scope, STREAM, message.get("status", 101))
+            await send(message)
+
+        return answer
+
+
+def _crowded() -> ProblemError:
+    problem = ProblemError("at-capacity", "too many connections", retry_after_s=1.0)
+    problem.headers["Connection"] = "close"
+    return problem
 
 
 def _known(method: str) -> str:
@@ -124,12 +154,3 @@ def _preflight(headers: Headers) -> Any:
             "Access-Control-Max-Age": "600",
         },
     )
-
-
-def _with_id(send: Send, request_id: str) -> Send:
-    async def answer(message: Message) -> None:
-        if message["type"] in ("websocket.accept", "websocket.http.response.start"):
-            MutableHeaders(raw=message.setdefault("headers", []))["X-Request-ID"] = request_id
-        await send(message)
-
-    return answer

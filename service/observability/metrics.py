@@ -2,65 +2,93 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from importlib.metadata import version
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
-from prometheus_client import (
-    CollectorRegistry,
-    Counter,
-    Gauge,
-    Histogram,
-    PlatformCollector,
-    ProcessCollector,
-    generate_latest,
-)
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
-from prometheus_client.registry import Collector
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
-from ..lanes.interface import Lanes
+from ..problems import CATALOGUE
+from .stages import Stages
+
+if TYPE_CHECKING:
+    from opentelemetry.trace import Span
+
+    from .tracing import Tracing
+
 
 SECONDS = (0.0005, 0.001, 0.002, 0.003, 0.005, 0.0075, 0.01, 0.02, 0.03, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5)
+SIZES = tuple(2**n for n in range(16, 27))
+# What the front does itself takes tens of microseconds, until something is wrong.
+SHORT_SECONDS = (0.00005, 0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.05, 0.25, 1.0)
+PRESETS = ("default", "paper")
+ENDS = ("closed", "idle", "expired", "lost")
+DROPS = ("superseded", "frame-too-large", "unsupported-image", "frame-undecodable", "frame-size-changed", "bad-region")
+CAUSES = ("died", "hung", "memory", "start")
+WHYS = ("frames", "bytes", "budget", "stop")
+RETURNS = ("died", "hung", "memory", "restart", "fault")
+CLOSES = ("1000", "1011", "1012", "4400", "4401", "4408", "4409", "4410", "4429")
 
 
 class Metrics:
-    """All metrics of one service, in a registry of their own."""
+    """All metrics of one service, in a registry of their own; and ``tracing``, where that is on."""
 
-    def __init__(self) -> None:
+    def __init__(self, tracing: Tracing | None = None) -> None:
+        self.tracing = tracing
         self.registry = CollectorRegistry()
-        ProcessCollector(registry=self.registry)
-        PlatformCollector(registry=self.registry)
 
-        def counter(name: str, text: str, *labels: str) -> Counter:
-            return Counter(name, text, labels, registry=self.registry)
+        def counter(name: str, text: str, **known: Iterable[str]) -> Counter:
+            """Values of a single label that are ``known`` are there from the start, at zero: a rate over a series
+            that begins with the first fault would miss that fault."""
+            made = Counter(name, text, tuple(known), registry=self.registry)
+            for value in next(iter(known.values()), ()):
+                made.labels(value)
+            return made
 
-        def seconds(name: str, text: str) -> Histogram:
-            return Histogram(name, text, buckets=SECONDS, registry=self.registry)
+        def seconds(name: str, text: str, buckets: tuple[float, ...] = SECONDS) -> Histogram:
+            return Histogram(name, text, buckets=buckets, registry=self.registry)
 
-        self.sessions_created = counter("mfcmt_sessions_created_total", "Sessions made or restored", "preset")
-        self.sessions_closed = counter("mfcmt_sessions_closed_total", "Sessions ended", "reason")
+        def sizes(name: str, text: str) -> Histogram:
+            return Histogram(name, text, buckets=SIZES, registry=self.registry)
+
+        self.sessions_created = counter("mfcmt_sessions_created_total", "Sessions made or restored", preset=PRESETS)
+        self.sessions_closed = counter("mfcmt_sessions_closed_total", "Sessions ended", reason=ENDS)
         self.refused_sessions = counter(
-            "mfcmt_admission_rejected_total", "Sessions refused for want of a place", "reason"
+            "mfcmt_admission_rejected_total",
+            "Sessions refused for want of a place",
+            reason=("at-capacity", "draining", "over-quota"),
         )
-        self.frames_received = counter("mfcmt_frames_received_total", "Frame messages and calls", "via")
+        self.frames_received = counter(
+            "mfcmt_frames_received_total", "Frame messages and calls", via=("stream", "http")
+        )
         self.frame_bytes = counter("mfcmt_frame_bytes_total", "Encoded bytes of frames received")
-        self.frames_dropped = counter("mfcmt_frames_dropped_total", "Frames that were not tracked", "reason")
-        self.problems = counter("mfcmt_problems_total", "Refusals told to clients", "code")
-        self.requests = counter("mfcmt_http_requests_total", "HTTP calls answered", "method", "path", "status")
+        self.frames_dropped = counter("mfcmt_frames_dropped_total", "Frames that were not tracked", reason=DROPS)
+        self.problems = counter("mfcmt_problems_total", "Refusals told to clients", code=CATALOGUE)
+        self.requests = counter("mfcmt_http_requests_total", "HTTP calls answered", method=(), path=(), status=())
         self.streams = Gauge("mfcmt_ws_connections", "Attached streams", registry=self.registry)
-        self.stream_closes = counter("mfcmt_ws_closes_total", "Streams closed by the service", "code")
-        self.lane_restarts = counter("mfcmt_lane_restarts_total", "Lanes replaced", "cause")
-        self.queue_seconds = seconds("mfcmt_frame_queue_seconds", "From a frame's arrival to its lane, both ways")
+        self.stream_closes = counter("mfcmt_ws_closes_total", "Streams closed by the service", code=CLOSES)
+        self.lane_restarts = counter("mfcmt_lane_restarts_total", "Lanes replaced", cause=CAUSES)
+        self.receive_seconds = seconds(
+            "mfcmt_frame_receive_seconds", "From a frame's arrival to the queue: parsed and checked", SHORT_SECONDS
+        )
+        self.queue_seconds = seconds("mfcmt_frame_queue_seconds", "Waiting for the session's frame before it")
+        self.transit_seconds = seconds("mfcmt_frame_transit_seconds", "To the lane and back, its queue included")
         self.decode_seconds = seconds("mfcmt_frame_decode_seconds", "Decoding of a frame")
         self.track_seconds = seconds("mfcmt_frame_track_seconds", "Tracking of all targets in a frame")
+        self.send_seconds = seconds(
+            "mfcmt_frame_send_seconds", "Writing a stream's result to its socket", SHORT_SECONDS
+        )
         self.total_seconds = seconds("mfcmt_frame_total_seconds", "From a frame's arrival to its result")
         self.request_seconds = seconds("mfcmt_http_request_seconds", "HTTP calls, from head to last byte")
         self.loop_lag_seconds = seconds("mfcmt_event_loop_lag_seconds", "How late a timer of the event loop fires")
-        self.snapshot_bytes = Histogram(
-            "mfcmt_snapshot_bytes",
-            "Size of snapshots handed out",
-            buckets=[2**n for n in range(16, 27)],
-            registry=self.registry,
-        )
+        self.snapshot_bytes = sizes("mfcmt_snapshot_bytes", "Size of snapshots handed out")
+        self.checkpoint_bytes = sizes("mfcmt_checkpoint_bytes", "Size of checkpoints")
+        self.checkpoints = counter("mfcmt_checkpoints_total", "Checkpoints of sessions", reason=WHYS)
+        self.checkpoint_seconds = seconds("mfcmt_checkpoint_seconds", "From the wish for a checkpoint to its bytes")
+        self.recoveries = counter("mfcmt_recoveries_total", "Sessions restored in a lane", cause=RETURNS)
+        self.recovery_seconds = seconds("mfcmt_recovery_seconds", "From a session's loss of its lane to its return")
+        self.replayed = counter("mfcmt_replayed_operations_total", "Frames and controls made again in a fresh lane")
+        self.state_write_seconds = seconds("mfcmt_state_write_seconds", "Writes to the state directory")
+        self.state_write_failures = counter("mfcmt_state_write_failures_total", "Writes that failed, to be tried again")
 
         self._by_stream = self.frames_received.labels(via="stream")
         self._by_http = self.frames_received.labels(via="http")
@@ -81,44 +109,31 @@ class Metrics:
         if frame:
             self.frames_dropped.labels(reason=code).inc()
 
-    def frame(self, queue_s: float, decode_s: float, track_s: float, total_s: float) -> None:
-        """One frame was tracked."""
-        self.queue_seconds.observe(queue_s)
-        self.decode_seconds.observe(decode_s)
-        self.track_seconds.observe(track_s)
-        self.total_seconds.observe(total_s)
+    def checkpoint(self, reason: str, size: int, seconds: float) -> None:
+        """A session's state was kept."""
+        self.checkpoints.labels(reason=reason).inc()
+        self.checkpoint_bytes.observe(size)
+        self.checkpoint_seconds.observe(seconds)
 
-    def observe_service(self, sessions: Callable[[], int], capacity: int, lanes: Lanes) -> None:
-        """Read these whenever the metrics are asked for."""
-        self.registry.register(_Service(sessions, capacity, lanes))
+    def recovered(self, cause: str, operations: int, seconds: float) -> None:
+        """A session's state was brought back."""
+        self.recoveries.labels(cause=cause).inc()
+        self.replayed.inc(operations)
+        self.recovery_seconds.observe(seconds)
 
-    def text(self) -> bytes:
-        """The Prometheus text format."""
-        return generate_latest(self.registry)
-
-
-class _Service(Collector):
-    def __init__(self, sessions: Callable[[], int], capacity: int, lanes: Lanes) -> None:
-        self._sessions, self._capacity, self._lanes = sessions, capacity, lanes
-
-    def collect(self) -> Iterator[Metric]:
-        """Gauges as they are now."""
-        yield GaugeMetricFamily("mfcmt_sessions_active", "Sessions in the book", self._sessions())
-        yield GaugeMetricFamily("mfcmt_sessions_capacity", "Sessions that there is room for", self._capacity)
-        rss = GaugeMetricFamily("mfcmt_lane_rss_bytes", "Resident memory of a lane", labels=["lane"])
-        cpu = CounterMetricFamily("mfcmt_lane_cpu_seconds", "CPU time of a lane's process", labels=["lane"])
-        keys = GaugeMetricFamily("mfcmt_lane_sessions", "Sessions in a lane", labels=["lane"])
-        ready = GaugeMetricFamily("mfcmt_lane_ready", "1 when a lane takes sessions", labels=["lane"])
-        statuses = self._lanes.status()
-        for status in statuses:
-            keys.add_metric([str(status.lane)], status.keys)
-            ready.add_metric([str(status.lane)], float(status.ready))
-        for usage in self._lanes.usage():
-            rss.add_metric([str(usage.lane)], usage.rss_bytes)
-            cpu.add_metric([str(usage.lane)], usage.cpu_s)
-        yield from (rss, cpu, keys, ready)
-        told = next((status.versions for status in statuses if status.versions), {})
-        names = ["version", "opencv", "numpy"]
-        build = GaugeMetricFamily("mfcmt_build_info", "Versions; always 1", labels=names)
-        build.add_metric([version("mfcmt"), told.get("opencv", ""), told.get("numpy", "")], 1)
-        yield build
+    def frame(
+        self, stages: Stages, session: str, seq: int, within: Span | None, *, live: bool, sent_s: float = 0.0
+    ) -> None:
+        """One frame was tracked, and answered in ``sent_s``; the rest is for :meth:`Tracing.frame`."""
+        trace_id = None
+        if self.tracing is not None and within is not None:
+            trace_id = self.tracing.frame(stages, sent_s, session, seq, within, live=live)
+        self.receive_seconds.observe(stages.receive)
+        self.queue_seconds.observe(stages.queue)
+        self.transit_seconds.observe(stages.transit)
+        self.decode_seconds.observe(stages.decode)
+        self.track_seconds.observe(stages.track)
+        if sent_s:
+            self.send_seconds.observe(sent_s)
+        exemplar = {"trace_id": trace_id} if trace_id else None
+        self.total_seconds.observe(sum(stages), exemplar)

@@ -7,25 +7,32 @@ import contextlib
 import secrets
 import time
 from collections.abc import Awaitable, Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import structlog
 
 from ..frames.header import sniff
+from ..keys import Identity
 from ..observability.metrics import Metrics
+from ..observability.stages import Stages
 from ..problems import ProblemError
 from ..schemas.packed import Unreadable
 from ..sessions.bucket import Bucket
+from ..sessions.meter import Meter
 from ..sessions.session import Frame, Session
 from ..settings import Settings
 from .codec import Codec, Event, Refusal
 from .flow import Flow, Job
 from .messages import Control, Echo, FrameMessage
 
+if TYPE_CHECKING:
+    from opentelemetry.trace import Span
+
 # After the last word the socket may be slow to empty; then it is cut.
 LINGER_S = 5.0
 MAX_UNSENT = 64
 NAME_BYTES = 9
+MAX_DEBT_S = 1.0
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.stream")
 
@@ -34,29 +41,34 @@ class StreamAttachment:
     """From ``ready`` to the close; the session lives on.
 
     ``receive`` and ``send`` are those of ASGI, ``abort`` cuts the connection; a fault of ours is told with
-    the ``request_id`` of the handshake.
+    the ``request_id`` of the handshake, and the spans of frames are linked to its ``span``.
     """
 
     def __init__(
         self,
         session: Session,
+        identity: Identity,
         codec: Codec,
         flow: Flow,
         settings: Settings,
+        meter: Meter,
         metrics: Metrics,
         receive: Callable[[], Awaitable[Event]],
         send: Callable[[Event], Awaitable[None]],
         abort: Callable[[], None],
         request_id: str,
+        span: Span | None,
     ) -> None:
         self.name = secrets.token_urlsafe(NAME_BYTES)
+        self.identity = identity
         self._session, self._codec, self._flow = session, codec, flow
-        self._settings, self._metrics = settings, metrics
+        self._settings, self._meter, self._metrics = settings, meter, metrics
         self._receive, self._asgi_send, self._abort = receive, send, abort
-        self._request_id = request_id
+        self._request_id, self._span = request_id, span
         self._bucket = Bucket(settings.max_messages_per_s, time.monotonic())
         self._refused_in_a_row = 0
         self._ending = False
+        self._finishing: tuple[int, str] | None = None
         self._in_lane = False
         self._unsent = 0
         self._unsent_since = 0.0
@@ -89,6 +101,12 @@ class StreamAttachment:
         """Send a message when there is room."""
         self._later(self._send(message))
 
+    def finish(self, code: int, reason: str) -> None:
+        """Read no more, answer what has been read, and close."""
+        if self._finishing is None:
+            self._finishing = code, reason
+            self._later(self._finish())  # after what was told before
+
     def end(self, code: int, reason: str) -> None:
         """Close; the frame in work is finished and kept, what waits is discarded."""
         if self._ending:
@@ -111,6 +129,10 @@ class StreamAttachment:
         self._flow.discard()
         if self._pump_task is not None and not self._in_lane:
             self._pump_task.cancel()
+
+    async def _finish(self) -> None:
+        if self._finishing is not None and self._flow.empty and not self._in_lane:
+            self.end(*self._finishing)
 
     def _later(self, work: Any) -> None:
         task = asyncio.ensure_future(work)
@@ -136,30 +158,33 @@ class StreamAttachment:
             event = await self._receive()
             if event["type"] == "websocket.disconnect":
                 return
-            if self._ending:
+            if self._ending or self._finishing:
                 continue
+            arrived = time.monotonic()
             try:
                 message = self._codec.read(event)
                 if isinstance(message, FrameMessage):
-                    await self._take_frame(message)
+                    await self._take_frame(message, arrived)
                 elif message is not None:
                     await self._take_control(message)
+                else:
+                    self._owe()
             except Unreadable as unreadable:
                 self.end(4400, str(unreadable))
             except Refusal as refused:
+                self._owe()
                 await self._refuse(refused, ref=refused.ref)
             except ProblemError as problem:
                 await self._refuse(problem)
 
-    async def _take_frame(self, message: FrameMessage) -> None:
+    async def _take_frame(self, message: FrameMessage, arrived: float) -> None:
         session, meta = self._session, message.meta
-        now = time.monotonic()
         self._metrics.stream_frame(len(message.data))
         controls = self._flow.take_for_next()
         seq = meta.seq
         try:
             seq = session.number(seq)
-            self._spend(now)
+            self._spend(arrived, len(message.data))
             if message.problem is not None:
                 raise message.problem
             if len(message.data) > self._settings.max_frame_bytes:
@@ -167,8 +192,9 @@ class StreamAttachment:
                 raise ProblemError("frame-too-large", told)
             if sniff(message.data) is None:
                 raise ProblemError("unsupported-image", "not a JPEG, PNG or WebP image")
-            self._flow.put_frame(Frame(message.data, seq, meta.ts, meta.region, now), controls)
-            session.touched = now
+            queued = time.monotonic()
+            self._flow.put_frame(Frame(message.data, seq, meta.ts, meta.region, arrived, queued), controls)
+            session.touched = queued
         except ProblemError as problem:
             self._flow.refused(controls)
             for refusal in self._refusals(problem, seq, controls):
@@ -183,22 +209,32 @@ class StreamAttachment:
         except ProblemError as problem:
             await self._refuse(problem, ref=control.ref)
 
-    def _spend(self, now: float) -> None:
-        wait_s = self._bucket.take(now)
-        if wait_s == 0:
-            self._refused_in_a_row = 0
-            return
-        self._refused_in_a_row += 1
-        if self._refused_in_a_row > self._settings.max_refused_messages:
+    def _spend(self, now: float, frame_bytes: int | None = None) -> None:
+        """Count a message, which may be a frame. Raises rate-limited, at-capacity; too many in a row end the stream."""
+        try:
+            if wait_s := self._bucket.take(now):
+                raise ProblemError("rate-limited", "too many messages", retry_after_s=round(wait_s, 3))
+            if frame_bytes is not None:
+                self._meter.frame(self._session.owner, frame_bytes)
+        except ProblemError:
+            self._refused_in_a_row += 1
+            if self._refused_in_a_row > self._settings.max_refused_messages:
+                self.end(4429, "too many messages")
+            raise
+        self._refused_in_a_row = 0
+
+    def _owe(self) -> None:
+        """Count a message that has no answer of its own, or is refused anyway."""
+        self._bucket.spend(1)
+        if self._bucket.wait_s(time.monotonic()) > MAX_DEBT_S:
             self.end(4429, "too many messages")
-        raise ProblemError("rate-limited", "too many messages", retry_after_s=round(wait_s, 3))
 
     async def _pump(self) -> None:
         while not self._ending:
             job = await self._flow.next()
             self._in_lane = True
             try:
-                messages = await self._work(job)
+                messages, stages = await self._work(job)
             except Exception:
                 log.exception("fault in a stream", session=self._session.id)
                 self.end(1011, "internal")
@@ -206,21 +242,26 @@ class StreamAttachment:
             finally:
                 self._in_lane = False
             self._flow.answered(job)
+            begun = time.monotonic()
             for message in messages:
                 await self._send(message)
+            if job.frame is not None and stages is not None:
+                sent_s = time.monotonic() - begun
+                self._metrics.frame(stages, self._session.id, job.frame.seq, self._span, live=False, sent_s=sent_s)
+            await self._finish()
 
-    async def _work(self, job: Job) -> list[dict[str, Any]]:
-        """Have the job done; what the client is told."""
+    async def _work(self, job: Job) -> tuple[list[dict[str, Any]], Stages | None]:
+        """Have the job done; what the client is told, and the time a tracked frame took."""
         session = self._session
         try:
             if job.frame is None:
                 control = job.controls[0]
                 await session.control(control.command)
-                return [self._targets(control)]
+                return [self._targets(control)], None
             commands = [control.command for control in job.controls]
-            result, answers = await session.track(job.frame, controls=commands)
+            result, answers, stages = await session.track(job.frame, controls=commands)
         except ProblemError as problem:
-            return self._refusals(problem, job.frame.seq if job.frame else None, job.controls)
+            return self._refusals(problem, job.frame.seq if job.frame else None, job.controls), None
         result["dropped"] = self._flow.take_dropped()
         messages = []
         for control, refused in zip(job.controls, answers, strict=True):
@@ -229,7 +270,7 @@ class StreamAttachment:
             else:
                 messages += self._refusals(refused, None, [control])
         messages.append(result)
-        return messages
+        return messages, stages
 
     def _targets(self, control: Control) -> dict[str, Any]:
         message: dict[str, Any] = {"type": "targets"}

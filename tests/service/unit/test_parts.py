@@ -66,7 +66,7 @@ def test_a_forgotten_key_leaves_what_waited() -> None:
 
 
 def frame(seq: int) -> Frame:
-    return Frame(b"", seq, None, None, 0.0)
+    return Frame(b"", seq, None, None, 0.0, 0.0)
 
 
 def flow(mode: Mode, credit: int = 2) -> Flow:

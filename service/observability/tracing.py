@@ -1,0 +1,95 @@
+"""OpenTelemetry spans of calls and frames; not imported unless ``MFCMT_OTLP_ENDPOINT`` is set (extra ``otel``)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+
+from opentelemetry.context import Context
+from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
+from opentelemetry.sdk.resources import Resource
+from opentelemetry.sdk.trace import TracerProvider
+from opentelemetry.sdk.trace.export import BatchSpanProcessor
+from opentelemetry.sdk.trace.sampling import ParentBased, TraceIdRatioBased
+from opentelemetry.trace import Link, Span, SpanKind, Status, StatusCode, format_trace_id, set_span_in_context
+from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
+
+from .stages import Stages
+
+SECOND_NS = 1_000_000_000
+# For one batch, its retries included; the last one is waited for when the service stops.
+EXPORT_S = 2.0
+
+
+class Tracing:
+    """Makes spans and sends them, in batches and from a thread of its own, to ``endpoint``/v1/traces.
+
+    ``ratio`` is the share of calls and frames that begin a trace; a call with a ``traceparent`` goes by that.
+    """
+
+    def __init__(self, endpoint: str, ratio: float, version: str) -> None:
+        resource = Resource.create({"service.name": "mfcmt", "service.version": version})
+        self._provider = TracerProvider(resource=resource, sampler=ParentBased(TraceIdRatioBased(ratio)))
+        exporter = OTLPSpanExporter(endpoint=f"{endpoint.rstrip('/')}/v1/traces", timeout=EXPORT_S)
+        self._provider.add_span_processor(BatchSpanProcessor(exporter))
+        self._tracer = self._provider.get_tracer("mfcmt", version)
+        self._propagator = TraceContextTextMapPropagator()
+
+    def begin(self, method: str, headers: Mapping[str, str]) -> Span:
+        """The span of a call or a handshake, which :meth:`end` names."""
+        context = self._propagator.extract(headers, Context())
+        return self._tracer.start_span(method, context, SpanKind.SERVER)
+
+    def id(self, span: Span) -> str | None:
+        """The id of the span's trace, if that is kept."""
+        return format_trace_id(span.get_span_context().trace_id) if span.is_recording() else None
+
+    def end(self, span: Span, method: str, route: str, status: int, problem: str | None) -> None:
+        """The call was answered."""
+        if span.is_recording():
+            span.update_name(f"{method} {route}")
+            span.set_attributes(
+                {"http.request.method": method, "http.route": route, "http.response.status_code": status}
+            )
+            if problem is not None:
+                span.set_attribute("error.type", problem)
+            if status >= 500:
+                span.set_status(Status(StatusCode.ERROR))
+        span.end()
+
+    def frame(self, stages: Stages, sent_s: float, session: str, seq: int, within: Span, *, live: bool) -> str | None:
+        """A frame whose last stage ends now; the id of its trace if that is kept.
+
+        ``within`` is the call that brought the frame and its parent, or, once it is over (not ``live``), the
+        handshake of the stream, to which each of many frames is only linked.
+        """
+        length = int((sum(stages) + sent_s) * SECOND_NS)
+        at = time.time_ns() - length
+        parent = set_span_in_context(within, Context()) if live else Context()
+        links = [] if live else [Link(within.get_span_context())]
+        told: dict[str, str | int] = {"mfcmt.session": session, "mfcmt.seq": seq}
+        span = self._tracer.start_span("frame", parent, attributes=told, links=links, start_time=at)
+        trace_id = self.id(span)
+        if trace_id is None:
+            return None
+        end = at + length
+        at = self._part(span, "receive", at, stages.receive)[1]
+        at = self._part(span, "queue", at, stages.queue)[1]
+        lane, lane_end = self._part(span, "lane", at, stages.transit + stages.decode + stages.track)
+        # The two clocks are not compared: what a lane did is shown in the middle of its round trip.
+        at = self._part(lane, "decode", at + int(stages.transit / 2 * SECOND_NS), stages.decode)[1]
+        self._part(lane, "track", at, stages.track)
+        if sent_s:
+            self._part(span, "send", lane_end, sent_s)
+        span.end(end)
+        return trace_id
+
+    def _part(self, parent: Span, name: str, start: int, length_s: float) -> tuple[Span, int]:
+        end = start + int(length_s * SECOND_NS)
+        part = self._tracer.start_span(name, set_span_in_context(parent, Context()), start_time=start)
+        part.end(end)
+        return part, end
+
+    def stop(self) -> None:
+        """Send what is left; takes as long as the collector does, within the exporter's limit."""
+        self._provider.shutdown()

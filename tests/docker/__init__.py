@@ -1,0 +1,1 @@
+"""The image, its neighbours and what stands before it."""
