@@ -231,8 +231,7 @@ async def test_problems_are_typed(server: OwnServer, scenario: Scenario) -> None
 
 async def test_refused_for_want_of_room_says_when_to_come_again(own_server: Serve, scenario: Scenario) -> None:
     server = own_server(max_sessions_per_lane=1)
-    async with AsyncClient(server.url):
-        told = await scenario("full", server.url)
+    told = await scenario("full", server.url)
     assert (told["code"], told["status"]) == ("at-capacity", 503)
     assert told["retryAfter"] > 0
 
