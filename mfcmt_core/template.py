@@ -65,6 +65,13 @@ class TemplateModel:
         out[...] = self.transform.backward(response_f)
         return float(sum(response.max() for response in out[:models]) / models)
 
+    def respond_by_cue(self, spectra: Spectra) -> dict[str, npt.NDArray[np.float32]]:
+        """What each cue adds to the response of a joint filter, (2·ry + 1, 2·rx + 1), by cue: to look at."""
+        blocks = np.array([(b.start, b.stop) for b in self.features.blocks.values()], np.int64)
+        parts_f = np.empty((len(blocks), *spectra.shape[1:]), np.complex64)
+        respond_filters(self.filters, spectra, blocks, parts_f)
+        return dict(zip(self.features.blocks, self.transform.backward(parts_f), strict=True))
+
     def learn(self, spectra: Spectra, learned: int | None = None) -> None:
         """Learn a patch centred on the target at the learning rate (equation 11), or at 1 the first time.
 

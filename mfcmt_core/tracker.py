@@ -303,12 +303,20 @@ class MFCMT:
         target.scale = scale
 
     def _copy_maps(self, target: Target, frame: Frame, seen: Observation) -> dict[str, npt.NDArray[np.float32]]:
-        """The probability maps by name; computed again, for the search may have looked elsewhere since."""
+        """The probability maps by name, of a joint filter also the part of each cue.
+
+        They are computed again, for the search may have looked elsewhere since.
+        """
         self._detect(target, frame, seen)
         responses, fused = target.maps()
-        return {"fused": fused.copy()} | {
-            name: np.array(r) for name, r in zip(target.map_names, responses, strict=True)
-        }
+        kept = {"fused": fused.copy()}
+        kept |= {name: np.array(r) for name, r in zip(target.map_names, responses, strict=True)}
+        if target.template and self.config.joint_filter:
+            parts = target.template.respond_by_cue(seen.spectra)
+            for name, part in parts.items():
+                fuse(part[None], np.ones(1, np.float32), self.config, np.empty_like(part))
+                kept[name] = part
+        return kept
 
 
 def _is_grey(pixels: Image) -> bool:
