@@ -182,13 +182,12 @@ def test_the_parts_of_a_joint_response_are_its_cues() -> None:
         seen = watched.update(frame, maps=True)
         assert replace(seen, maps=None) == plain.update(frame)
         assert seen.maps is not None
-        assert set(seen.maps) == {"fused", "template", "statistical", "gray", "fhog", "color_names"}
+        assert set(seen.maps) == {"fused", "template", "background", "statistical", "gray", "fhog", "color_names"}
         assert all(one.shape == seen.maps["fused"].shape for one in seen.maps.values())
         assert all(one.sum() == pytest.approx(1, abs=1e-3) for one in seen.maps.values())
     joint = model()
     spectra = spectra_of(noise(1, joint.features.channels))
-    joint.learn(spectra, first=True)
-    whole = np.empty((1, 5, 5), np.float32)
-    joint.respond(spectra, whole)
-    parts = joint.respond_by_cue(spectra, (5, 5))
+    joint.learn(spectra)
+    _, whole = respond(joint, spectra)
+    parts = joint.respond_by_cue(spectra)
     assert sum(parts.values()) == pytest.approx(whole[0], abs=1e-4)

@@ -75,7 +75,7 @@ def test_an_occlusion_closes_the_gate():
 @pytest.mark.parametrize(
     ("config", "grey"),
     [
-        (DEFAULT, False),
+        (DEFAULT.replace(lost_after=15), False),
         (ALERT, False),
         (ALERT, True),
         (MFCMTConfig.paper().replace(lost_after=8), False),
