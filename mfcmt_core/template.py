@@ -59,6 +59,17 @@ class TemplateModel:
         peaks = [center_response(r, o) for r, o in zip(responses, out, strict=True)]
         return float(sum(peaks) / len(peaks))
 
+    def respond_by_cue(self, spectra: Spectra, shape: tuple[int, int]) -> dict[str, npt.NDArray[np.float32]]:
+        """What each cue adds to the response of a joint filter, ``shape`` (2·ry + 1, 2·rx + 1), by cue: to look at."""
+        blocks = np.array([(b.start, b.stop) for b in self.features.blocks.values()], np.int64)
+        n = self.features.cells
+        parts_f = np.empty((len(blocks), n, n // 2 + 1), np.complex64)
+        respond_filters(self.filters, spectra, blocks, parts_f)
+        parts = np.empty((len(blocks), *shape), np.float32)
+        for response, out in zip(fft.irfft2(parts_f, s=(n, n)), parts, strict=True):
+            center_response(response, out)
+        return dict(zip(self.features.blocks, parts, strict=True))
+
     def learn(self, spectra: Spectra, first: bool = False) -> None:
         """Learn a patch centred on the target at the learning rate (equation 11), or at 1 the first time."""
         energies = scratch("energies", (len(self.blocks), *spectra.shape[1:]))

@@ -171,7 +171,7 @@ class MFCMT:
         frame.require(within)
 
         seen, found = self._search(target, frame, within)
-        kept = self._copy_maps(target) if maps else None
+        kept = self._copy_maps(target, seen) if maps else None
         verdict = target.reliability.judge(found.peaks)
         if verdict.status != "lost":
             target.center = found.center
@@ -276,12 +276,17 @@ class MFCMT:
             sizes.learn(spectra)
         target.scale = scale
 
-    def _copy_maps(self, target: Target) -> dict[str, npt.NDArray[np.float32]]:
-        """The probability maps of the last search by name."""
+    def _copy_maps(self, target: Target, seen: Observation) -> dict[str, npt.NDArray[np.float32]]:
+        """The probability maps of the last search by name; of a joint filter also the part of each cue."""
         responses, fused = target.maps()
-        return {"fused": fused.copy()} | {
-            name: np.array(r) for name, r in zip(target.map_names, responses, strict=True)
-        }
+        kept = {"fused": fused.copy()}
+        kept |= {name: np.array(r) for name, r in zip(target.map_names, responses, strict=True)}
+        if target.template and self.config.joint_filter:
+            parts = target.template.respond_by_cue(seen.spectra, fused.shape)
+            for name, part in parts.items():
+                fuse(part[None], np.ones(1, np.float32), self.config, np.empty_like(part))
+                kept[name] = part
+        return kept
 
 
 def _is_grey(pixels: Image) -> bool:

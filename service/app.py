@@ -26,6 +26,7 @@ from .api import (
     targets,
     ticket,
     trajectory,
+    web,
 )
 from .api.middleware import Surroundings
 from .api.stream import StreamEndpoint
@@ -80,7 +81,7 @@ def create_app(
     )
     app.state.service = service
     calls = (sessions, frames, targets, trajectory, snapshot, ticket, capabilities)
-    routers = {"/v1": [module.router for module in calls], "": [health.router, docs.router]}
+    routers = {"/v1": [module.router for module in calls], "": [health.router, docs.router, web.router]}
     for prefix, some in routers.items():
         for router in some:
             app.include_router(router, prefix=prefix)
@@ -89,6 +90,7 @@ def create_app(
     errors.install(app)
     openapi.install(app, routers, settings)
     app.state.documents = docs.Documents.of(app)
+    app.state.assets = web.load()
     return app
 
 

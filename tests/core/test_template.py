@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import fft
 
-from mfcmt_core import MFCMTConfig, synthetic
+from mfcmt_core import MFCMT, MFCMTConfig, synthetic
 from mfcmt_core.geometry import SearchWindow
 from mfcmt_core.template import TemplateModel
 
@@ -166,3 +168,25 @@ def test_a_moved_patch_is_found_where_it_moved_to():
         m.respond(m.spectra(np.ascontiguousarray(image[60 - dy : 160 - dy, 100 - dx : 200 - dx])), out)
         row, column = np.unravel_index(out[0].argmax(), out[0].shape)
         assert (4 * (column - search.reach[0]), 4 * (row - search.reach[1])) == (dx, dy)
+
+
+def test_the_parts_of_a_joint_response_are_its_cues() -> None:
+    """Filters are linear in the channels: what the cues add is the response, and looking changes no bit of it."""
+    frames = synthetic.clip("motion", length=4)
+    watched, plain = MFCMT(), MFCMT()
+    for tracker in (watched, plain):
+        tracker.init(frames.frames[0], frames.boxes[0])
+    for frame in frames.frames[1:]:
+        seen = watched.update(frame, maps=True)
+        assert replace(seen, maps=None) == plain.update(frame)
+        assert seen.maps is not None
+        assert set(seen.maps) == {"fused", "template", "statistical", "gray", "fhog", "color_names"}
+        assert all(one.shape == seen.maps["fused"].shape for one in seen.maps.values())
+        assert all(one.sum() == pytest.approx(1, abs=1e-3) for one in seen.maps.values())
+    joint = model()
+    spectra = spectra_of(noise(1, joint.features.channels))
+    joint.learn(spectra, first=True)
+    whole = np.empty((1, 5, 5), np.float32)
+    joint.respond(spectra, whole)
+    parts = joint.respond_by_cue(spectra, (5, 5))
+    assert sum(parts.values()) == pytest.approx(whole[0], abs=1e-4)
