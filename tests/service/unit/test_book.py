@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from service.lanes.interface import AtCapacity, Buffers, KeysLost, LaneEvent, LaneLost, LaneStatus, LaneUsage
+from service.lanes.interface import AtCapacity, Buffers, KeysLost, LaneEvent, LaneLost, LaneStatus, LaneUsage, Place
 from service.lanes.wire import decode_call, encode_reply
 from service.observability.metrics import Metrics
 from service.problems import ProblemError
@@ -38,10 +38,10 @@ class Lanes:
             raise AtCapacity
         self.keys.add(key)
 
-    async def regain(self, key: str) -> str:
+    async def regain(self, key: str) -> Place:
         await asyncio.sleep(0)
         self.reserve(key)
-        return "died"
+        return Place(0, "died")
 
     def holds(self, key: str) -> bool:
         return key in self.keys
