@@ -29,8 +29,8 @@ def _told(value: object) -> str:
         return ""
     if isinstance(value, bool):
         return str(value).lower()
-    if isinstance(value, int) and value >= MIB and value % MIB == 0:
-        return f"{value} ({value // MIB} MiB)"
+    if isinstance(value, int | float) and value >= MIB and value % MIB == 0:
+        return f"{value:.0f} ({value / MIB:.0f} MiB)"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
