@@ -20,9 +20,11 @@ if TYPE_CHECKING:
     from .tracker import Target
 
 FORMAT = "mfcmt-tracker"
-VERSION = 1
+VERSION = 2
 MAX_VALUE = 1e12
 """Of any array: far above what images give, and responses to it stay inside float32."""
+SIGNED = ("scale_waves",)
+"""Arrays of real numbers that may be negative."""
 MAX_BYTES = 16 << 20
 """A larger one is refused unread; the default preset's takes well below one megabyte."""
 
@@ -122,7 +124,7 @@ def _arrays(target: Target) -> dict[str, npt.NDArray[Any]]:
     if c := target.color:
         arrays |= {"foreground": c.foreground, "background": c.background}
     if s := target.sizes:
-        arrays |= {"scale_numerator": s.numerator, "scale_denominator": s.denominator}
+        arrays |= {"scale_waves": s.mean.waves, "scale_sums": s.mean.sums, "scale_energy": s.energy}
     return arrays
 
 
@@ -143,7 +145,7 @@ def _unpack(name: str, packed: Any, into: npt.NDArray[Any]) -> None:
     if not fits:
         raise BadSnapshot(f"array {name!r} is not {dtype.str} of shape {into.shape}")
     values = np.frombuffer(packed["data"], dtype).reshape(into.shape)
-    lowest = 0 if into.dtype.kind == "f" else -np.inf  # histograms and energies
+    lowest = 0 if into.dtype.kind == "f" and name not in SIGNED else -np.inf  # histograms and energies
     if not (np.abs(values) <= MAX_VALUE).all() or (values.real < lowest).any():
         raise BadSnapshot(f"array {name!r} has values that no tracker has")
     into[...] = values

@@ -6,15 +6,13 @@ from math import sqrt
 
 import numpy as np
 import numpy.typing as npt
-from scipy import fft
 
 from .config import MFCMTConfig
 from .features import FeatureStack
+from .fourier import Spectra, Transform
 from .geometry import Image, SearchWindow
-from .kernels.template import center_response, energy, learn_filters, learn_spectra, respond_filters
+from .kernels.template import energy, learn_filters, learn_spectra, respond_filters
 from .workspace import scratch
-
-Spectra = npt.NDArray[np.complex64]
 
 
 class TemplateModel:
@@ -27,6 +25,7 @@ class TemplateModel:
 
     def __init__(self, config: MFCMTConfig, window: SearchWindow, grey: bool) -> None:
         self.features = FeatureStack(config, grey)
+        self.transform = Transform(window.cells, window.reach)
         self.average = config.average
         self.rate = np.float32(config.template_learning_rate)
         n = window.cells
@@ -39,7 +38,7 @@ class TemplateModel:
         sigma = config.output_sigma_factor * sqrt(window.target[0] * window.target[1])
         distance = np.fft.fftfreq(n) * n  # zero displacement at index 0
         bell = np.exp(-0.5 * (distance / sigma) ** 2)
-        self.label_f = fft.rfft2(np.outer(bell, bell).astype(np.float32))
+        self.label_f = np.fft.rfft2(np.outer(bell, bell)).astype(np.complex64)
         shape = (self.features.channels, n, n // 2 + 1)
         self.filters = np.zeros(shape, np.complex64)
         if self.average == "spectra":
@@ -48,27 +47,17 @@ class TemplateModel:
 
     def spectra(self, patch: Image) -> Spectra:
         """Half spectra of the windowed features of ``patch``, (channels, n, n // 2 + 1) complex64."""
-        return fft.rfft2(self.features.extract(patch))  # type: ignore[no-any-return]
+        return self.transform.forward(self.features.extract(patch))
 
     def respond(self, spectra: Spectra, out: npt.NDArray[np.float32]) -> float:
         """Responses within reach into ``out`` (models, 2·ry + 1, 2·rx + 1); the mean of their peaks."""
-        n = self.features.cells
-        response_f = scratch("response_f", (len(self.blocks), n, n // 2 + 1), np.complex64)
-        respond_filters(self.filters, spectra, self.blocks, response_f)
-        responses = fft.irfft2(response_f, s=(n, n))
-        peaks = [center_response(r, o) for r, o in zip(responses, out, strict=True)]
-        return float(sum(peaks) / len(peaks))
+        out[...] = self._respond(spectra, self.blocks)
+        return float(sum(response.max() for response in out) / len(out))
 
-    def respond_by_cue(self, spectra: Spectra, shape: tuple[int, int]) -> dict[str, npt.NDArray[np.float32]]:
-        """What each cue adds to the response of a joint filter, ``shape`` (2·ry + 1, 2·rx + 1), by cue: to look at."""
+    def respond_by_cue(self, spectra: Spectra) -> dict[str, npt.NDArray[np.float32]]:
+        """What each cue adds to the response of a joint filter, (2·ry + 1, 2·rx + 1), by cue: to look at."""
         blocks = np.array([(b.start, b.stop) for b in self.features.blocks.values()], np.int64)
-        n = self.features.cells
-        parts_f = np.empty((len(blocks), n, n // 2 + 1), np.complex64)
-        respond_filters(self.filters, spectra, blocks, parts_f)
-        parts = np.empty((len(blocks), *shape), np.float32)
-        for response, out in zip(fft.irfft2(parts_f, s=(n, n)), parts, strict=True):
-            center_response(response, out)
-        return dict(zip(self.features.blocks, parts, strict=True))
+        return dict(zip(self.features.blocks, self._respond(spectra, blocks), strict=True))
 
     def learn(self, spectra: Spectra, first: bool = False) -> None:
         """Learn a patch centred on the target at the learning rate (equation 11), or at 1 the first time."""
@@ -81,3 +70,8 @@ class TemplateModel:
             learn_spectra(*common, self.numerator, self.denominator, self.filters)
         else:
             learn_filters(*common, self.filters)
+
+    def _respond(self, spectra: Spectra, blocks: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+        response_f = scratch("response_f", (len(blocks), *spectra.shape[1:]), np.complex64)
+        respond_filters(self.filters, spectra, blocks, response_f)
+        return self.transform.backward(response_f)

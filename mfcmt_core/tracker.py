@@ -13,13 +13,14 @@ from . import snapshot
 from .color import Bins, ColorModel
 from .config import MFCMTConfig
 from .errors import BadConfig, BadImage, BadSnapshot, NotInitialised
+from .fourier import Spectra
 from .fusion import fuse
 from .geometry import Frame, Image, Patch, Rect, SearchWindow, check_box, clip_rect, grow_rect
 from .redetection import propose
 from .reliability import Peaks, Reliability, Verdict
 from .result import Box, TrackResult
 from .scale import ScaleModel
-from .template import Spectra, TemplateModel
+from .template import TemplateModel
 from .workspace import scratch
 
 ATTENTION = 1.25
@@ -282,7 +283,7 @@ class MFCMT:
         kept = {"fused": fused.copy()}
         kept |= {name: np.array(r) for name, r in zip(target.map_names, responses, strict=True)}
         if target.template and self.config.joint_filter:
-            parts = target.template.respond_by_cue(seen.spectra, fused.shape)
+            parts = target.template.respond_by_cue(seen.spectra)
             for name, part in parts.items():
                 fuse(part[None], np.ones(1, np.float32), self.config, np.empty_like(part))
                 kept[name] = part

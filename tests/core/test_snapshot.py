@@ -318,16 +318,14 @@ def test_any_value_in_any_place(data, frames, draw):
 
 @FUZZ
 @given(
-    st.sampled_from(
-        ["filters", "numerator", "denominator", "scale_numerator", "scale_denominator", "foreground", "background"]
-    ),
+    st.sampled_from(["filters", "numerator", "denominator", "scale_waves", "scale_energy", "foreground", "background"]),
     st.floats(width=32),
     st.booleans(),
 )
 @example("filters", 1e12, True)
 @example("filters", -1e12, True)
-@example("scale_numerator", 1e12, True)
-@example("scale_denominator", 0.0, True)
+@example("scale_waves", 1e12, True)
+@example("scale_energy", 0.0, True)
 @example("denominator", 0.0, True)
 @example("foreground", 0.0, True)
 @example("background", 1e12, True)

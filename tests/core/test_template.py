@@ -19,7 +19,9 @@ N = 8
 
 def model(**changes) -> TemplateModel:
     config = CONFIG.replace(**changes)
-    return TemplateModel(config, SearchWindow(config, (60.0, 40.0)), grey=False)
+    window = SearchWindow(config, (60.0, 40.0))
+    window.reach = (N // 2 - 1, N // 2 - 1)
+    return TemplateModel(config, window, grey=False)
 
 
 def spectra_of(features):
@@ -186,7 +188,7 @@ def test_the_parts_of_a_joint_response_are_its_cues() -> None:
     joint = model()
     spectra = spectra_of(noise(1, joint.features.channels))
     joint.learn(spectra, first=True)
-    whole = np.empty((1, 5, 5), np.float32)
+    whole = np.empty((1, N - 1, N - 1), np.float32)
     joint.respond(spectra, whole)
-    parts = joint.respond_by_cue(spectra, (5, 5))
+    parts = joint.respond_by_cue(spectra)
     assert sum(parts.values()) == pytest.approx(whole[0], abs=1e-4)
