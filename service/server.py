@@ -13,9 +13,8 @@ from typing import Any
 import structlog
 import uvicorn
 from fastapi import FastAPI
-from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-from .api.stream import ABORT_EXTENSION
+from .connections import allow_files, protocols
 from .service import Service
 from .settings import Settings
 
@@ -26,30 +25,8 @@ DRAIN_TICK_S = 0.05
 # When clients may come back: after this, and so much later.
 RETURN_S = 0.5
 SPREAD_S = (0.0, 1.5)
-ABORT_AFTER_S = 5.0
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.server")
-
-
-class FrameProtocol(WebSocketsSansIOProtocol):
-    """uvicorn's WebSocket; a client that stops reading cannot keep its connection for ever."""
-
-    async def run_asgi(self) -> None:
-        """Give the application a way to cut the connection."""
-        extensions: dict[str, Any] = self.scope["extensions"]
-        extensions[ABORT_EXTENSION] = self.transport.abort
-        await super().run_asgi()
-
-    async def send(self, message: Any) -> None:
-        """As ever; and a refused handshake is complete, so that uvicorn does not log it as a fault."""
-        await super().send(message)
-        if self.initial_response is not None and self.close_sent:
-            self.handshake_complete = True
-
-    def keepalive_timeout(self) -> None:
-        """No pong: close, and cut if the close frame finds no reader either."""
-        super().keepalive_timeout()
-        self.loop.call_later(ABORT_AFTER_S, self.transport.abort)
 
 
 class Server(uvicorn.Server):
@@ -64,6 +41,8 @@ class Server(uvicorn.Server):
     async def startup(self, sockets: Any = None) -> None:
         """Start, and say where."""
         self._loop = asyncio.get_running_loop()
+        if not allow_files(self._service.settings):
+            log.warning("the limit of open files is below max_connections")
         await super().startup(sockets)
         if self.started:
             host, port = self.servers[0].sockets[0].getsockname()[:2]
@@ -104,18 +83,18 @@ def make_server(app: FastAPI) -> Server:
     """A server for what ``create_app`` built; ``run()`` or ``serve()`` it."""
     service: Service = app.state.service
     settings: Settings = service.settings
+    calls, frames = protocols(settings)
     config = uvicorn.Config(
         app,
         host=settings.host,
         port=settings.port,
         loop="uvloop" if find_spec("uvloop") else "asyncio",
-        http="httptools" if find_spec("httptools") else "h11",
-        ws=FrameProtocol,
+        http=calls,
+        ws=frames,
         ws_max_size=2 * settings.max_frame_bytes + ENVELOPE_BYTES,
         ws_per_message_deflate=False,
         ws_ping_interval=settings.ping_interval_s,
         ws_ping_timeout=settings.ping_timeout_s,
-        limit_concurrency=settings.max_connections,
         timeout_graceful_shutdown=SHUTDOWN_S,
         server_header=False,
         access_log=False,

@@ -45,9 +45,10 @@ class KeysLost:
 
 @dataclass(frozen=True, slots=True)
 class LaneReady:
-    """An event: a lane has started and takes keys."""
+    """An event: a lane has started and takes keys; ``confined`` is what it has given up (see ``confine``)."""
 
     lane: int
+    confined: tuple[str, ...] = ()
 
 
 LaneEvent = KeysLost | LaneReady

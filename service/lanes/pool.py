@@ -6,7 +6,8 @@ import asyncio
 import atexit
 import contextlib
 import multiprocessing
-from collections.abc import AsyncIterator, Mapping
+import os
+from collections.abc import AsyncIterator, Iterator, Mapping
 from multiprocessing import forkserver
 from typing import Any
 
@@ -56,7 +57,8 @@ class LanePool:
         """Begin to start all lanes."""
         self._context.set_forkserver_preload(["service.lanes.forkserver"])
         # Here, because the fork server dies with the thread that starts it (see orphans).
-        forkserver.ensure_running()
+        with _without_secrets():
+            forkserver.ensure_running()
         # Without this an interpreter that ends without stop() would wait for its workers for ever.
         atexit.register(self._kill_all)
         for lane in self._lanes:
@@ -178,7 +180,7 @@ class LanePool:
             self._lost(lane, "start")
 
     def _ready(self, lane: LaneProcess) -> None:
-        self._events.put_nowait(LaneReady(lane.number))
+        self._events.put_nowait(LaneReady(lane.number, lane.confined))
         self._changed.set()
 
     def _lost(self, lane: LaneProcess, cause: str) -> None:
@@ -212,3 +214,13 @@ class LanePool:
         for lane in self._lanes:
             with contextlib.suppress(OSError):
                 lane.kill()
+
+
+@contextlib.contextmanager
+def _without_secrets() -> Iterator[None]:
+    """The fork server and its lanes inherit no settings, and so no keys."""
+    kept = {name: os.environ.pop(name) for name in list(os.environ) if name.startswith("MFCMT_")}
+    try:
+        yield
+    finally:
+        os.environ.update(kept)

@@ -46,6 +46,7 @@ class LaneProcess(asyncio.Protocol):
         self.ready = False
         self.lost = False
         self.versions: dict[str, str] = {}
+        self.confined: tuple[str, ...] = ()
         self.since = time.monotonic()
         self._on_ready = on_ready
         self._on_lost = on_lost
@@ -149,7 +150,8 @@ class LaneProcess(asyncio.Protocol):
         self._on_lost(self, self._cause)
 
     def _hello(self, payload: bytes | memoryview) -> None:
-        self.versions = msgpack.unpackb(payload)
+        hello = msgpack.unpackb(payload)
+        self.versions, self.confined = hello["versions"], tuple(hello["confined"])
         self.ready = True
         self.since = time.monotonic()
         self._on_ready(self)

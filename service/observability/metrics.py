@@ -24,9 +24,9 @@ PRESETS = ("default", "paper")
 ENDS = ("closed", "idle", "expired", "lost")
 DROPS = ("superseded", "frame-too-large", "unsupported-image", "frame-undecodable", "frame-size-changed", "bad-region")
 CAUSES = ("died", "hung", "memory", "start")
-WHYS = ("frames", "bytes", "budget", "restore", "stop")
+WHYS = ("frames", "bytes", "budget", "stop")
 RETURNS = ("died", "hung", "memory", "restart", "fault")
-CLOSES = ("1000", "1011", "1012", "4400", "4408", "4409", "4410", "4429")
+CLOSES = ("1000", "1011", "1012", "4400", "4401", "4408", "4409", "4410", "4429")
 
 
 class Metrics:
@@ -53,7 +53,9 @@ class Metrics:
         self.sessions_created = counter("mfcmt_sessions_created_total", "Sessions made or restored", preset=PRESETS)
         self.sessions_closed = counter("mfcmt_sessions_closed_total", "Sessions ended", reason=ENDS)
         self.refused_sessions = counter(
-            "mfcmt_admission_rejected_total", "Sessions refused for want of a place", reason=("at-capacity", "draining")
+            "mfcmt_admission_rejected_total",
+            "Sessions refused for want of a place",
+            reason=("at-capacity", "draining", "over-quota"),
         )
         self.frames_received = counter(
             "mfcmt_frames_received_total", "Frame messages and calls", via=("stream", "http")

@@ -7,6 +7,7 @@ import contextlib
 import hashlib
 import secrets
 import time
+from collections import Counter
 from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -58,6 +59,7 @@ class SessionBook:
         self._sessions: dict[str, Session] = {}
         self._tombstones: Memory[Tombstone] = Memory(settings.max_tombstones, settings.tombstone_s, clock)
         self._creations: Memory[Creation] = Memory(settings.max_idempotency_keys, settings.idempotency_s, clock)
+        self._opening: Counter[str] = Counter()
         self._ordinal = 0
 
     def __len__(self) -> int:
@@ -97,7 +99,7 @@ class SessionBook:
         return await self._once(owner, key, data, repr((boxes, options)), make)
 
     async def restore(self, owner: str, snapshot: bytes, key: str | None) -> Session:
-        """A session that goes on from a snapshot, under a new id; the same one for the same ``key``."""
+        """A session that goes on from a snapshot's contents, under a new id; the same one for the same ``key``."""
 
         async def make() -> Session:
             session = self._open(owner, Options("default", "reject", None, False, self._settings.idle_timeout_s))
@@ -161,10 +163,16 @@ class SessionBook:
         """Attached streams."""
         return len(self._attachments())
 
-    def end_streams(self, code: int, reason: str) -> None:
-        """Close every stream; the sessions stay."""
-        for attachment in self._attachments():
+    def streams_of(self, owner: str) -> int:
+        """Attached streams of one owner."""
+        return sum(s.attachment is not None for s in self._sessions.values() if s.owner == owner)
+
+    def end_streams(self, code: int, reason: str, which: Callable[[Attachment], bool] = lambda _: True) -> int:
+        """Close streams, all or those chosen, and say how many; the sessions stay."""
+        chosen = [attachment for attachment in self._attachments() if which(attachment)]
+        for attachment in chosen:
             attachment.end(code, reason)
+        return len(chosen)
 
     def sweep(self) -> None:
         """End what is overdue, close streams that nobody reads, forget what is old."""
@@ -190,7 +198,7 @@ class SessionBook:
                 self._metrics.lane_restarts.labels(cause=event.cause).inc()
                 log.error("lane lost", lane=event.lane, cause=event.cause, sessions=len(event.keys))
             else:
-                log.info("lane ready", lane=event.lane)
+                log.info("lane ready", lane=event.lane, confined=event.confined)
             # Also those that gave up waiting for a lane.
             for session in self._sessions.values():
                 if not session.lane.held:
@@ -227,6 +235,7 @@ class SessionBook:
         """A place in a lane, taken at once or not at all, and a session around it."""
         if self.draining:
             raise self._unavailable("draining", self._settings.drain_grace_s)
+        self._check_quota(owner)
         if self.keeper.budget.spent:
             raise self._unavailable("at-capacity", 1.0, "no memory for another session")
         sid = secrets.token_urlsafe(ID_BYTES)
@@ -238,6 +247,7 @@ class SessionBook:
                 self._lanes.reserve(sid)
             except AtCapacity:
                 raise self._unavailable("at-capacity", 1.0) from None
+        self._opening[owner] += 1
         return self._session(sid, owner, options, datetime.now(UTC))
 
     def _session(self, sid: str, owner: str, options: Options, created_at: datetime) -> Session:
@@ -266,9 +276,22 @@ class SessionBook:
                 # Its lane died under it: for the client there never was a session.
                 raise self._unavailable("at-capacity", 1.0) from failed
             raise
+        finally:
+            self._opening -= Counter((session.owner,))
         session.touched = self._clock()
         self._sessions[session.id] = session
         self._metrics.sessions_created.labels(preset=session.options.preset).inc()
+
+    def _check_quota(self, owner: str) -> None:
+        """Raises over-quota for a key with as many sessions as it may have, those included that begin."""
+        most = self._settings.max_sessions_per_key
+        for expired_went in (False, True):
+            if self._opening[owner] + sum(s.owner == owner for s in self._sessions.values()) < most:
+                return
+            if not expired_went:
+                self.sweep()
+        self._metrics.refused_sessions.labels(reason="over-quota").inc()
+        raise ProblemError("over-quota", f"at most {most} sessions of a key", retry_after_s=1.0)
 
     def _unavailable(
         self, code: str, retry_after_s: float, detail: str = "no place for another session"

@@ -12,6 +12,7 @@ from typing import Any, Protocol, TypeVar
 
 import structlog
 
+from ..keys import Identity
 from ..lanes.interface import LaneLost
 from ..observability.stages import Stages
 from ..problems import ProblemError, session_gone
@@ -53,6 +54,7 @@ class Attachment(Protocol):
     """What a session knows of the stream that is attached to it; ``name`` is known to its owner alone."""
 
     name: str
+    identity: Identity
 
     def tell(self, message: dict[str, Any]) -> None:
         """Send a message when there is room."""
@@ -130,13 +132,11 @@ class Session:
             self._on_safe(self)
 
     async def resume(self, data: bytes) -> dict[str, Any]:
-        """Start from a snapshot; what the front put into it."""
+        """Start from what :meth:`snapshot` gave; what the front put into it."""
         async with self._turn:
-            state = await self._call("restore", {"owner": self.owner}, data, changes=True)
+            state = await self._call("restore", {}, data, changes=True)
             self._take(state)
             self.last_number = self.seq
-            # What was sent in can be read only for as long as its signing key is known.
-            await self._guarded(self.lane.checkpoint("restore"))
         return {**state["front"], **state["options"]}
 
     async def track(
@@ -191,10 +191,10 @@ class Session:
         return row and wiring.target(row), self.region
 
     async def snapshot(self) -> bytes | memoryview:
-        """The session as signed bytes, between two frames."""
+        """The session as bytes, between two frames; they are not signed."""
         front = {"label": self.options.label, "idle_timeout_s": self.options.idle_timeout_s}
         async with self._turn:
-            data: bytes | memoryview = await self._call("snapshot", {"owner": self.owner, "front": front})
+            data: bytes | memoryview = await self._call("snapshot", {"front": front})
         return data
 
     def revive(self) -> None:
