@@ -57,8 +57,8 @@ class LaneState:
         self._settings, self._metrics = settings, metrics
         self._suspect: Operation | None = None
         self._torn = False
-        # Early enough for the newest checkpoint to be on disk, and never to be more frames old than is said.
-        self._every = max(1, settings.checkpoint_every_frames - settings.credit_frames)
+        # So early that a checkpoint is on disk before the one before it is older than is said.
+        self._every = max(1, settings.checkpoint_every_frames - settings.checkpoint_every_frames // 4)
         # Sessions that began together should not all take their checkpoints at the same frame.
         self._due_frames = 1 + crc32(key.encode()) % self._every
 

@@ -72,7 +72,7 @@ class Keeping(World):
 
 
 async def test_a_checkpoint_comes_every_so_many_frames_and_only_then() -> None:
-    world = Keeping(checkpoint_every_frames=12, credit_frames=2)
+    world = Keeping(checkpoint_every_frames=13)
     session = await world.create()
     for _ in range(40):
         await world.track(session)
