@@ -8,7 +8,7 @@ DATA ?= $(or $(MFCMT_OTB_ROOT),../shared/data/otb)
 PUBLISHED ?= $(wildcard $(dir $(DATA:/=))published)
 PROTOCOL ?= ope,tre,sre
 
-.PHONY: help setup warmup serve demo test lint lock bench bench-peers eval reproduce clean
+.PHONY: help setup warmup serve demo test lint lock bench bench-peers eval reproduce guide clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -58,6 +58,9 @@ eval: warmup  ## score the tracker on OTB
 reproduce: warmup $(PEERS)  ## the paper's section IV on DATA=folder (PUBLISHED=boxes, PROTOCOL=ope): docs/evaluation
 	.venv-peers/bin/mfcmt eval --data "$(DATA)" --protocol $(PROTOCOL) --trackers opencv-csrt opencv-kcf opencv-mosse dlib
 	$(BIN)/mfcmt eval --data "$(DATA)" --protocol $(PROTOCOL) --reproduce docs/evaluation $(if $(PUBLISHED),--published "$(PUBLISHED)")
+
+guide: $(STAMP)  ## write the tables of docs/operations.md that come from the code
+	$(BIN)/python -m tests.docs.tables
 
 lock:  ## refresh the lock files (needs uv)
 	uv pip compile pyproject.toml --all-extras --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q -U -o requirements.lock

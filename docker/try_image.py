@@ -90,7 +90,7 @@ class Container:
         """The image's environment, in this place."""
         told = {name: value.replace(PLACE, str(self.opt)) for name, value in self.image.env.items()}
         told["PATH"] = told["PATH"].replace("$PATH", "/usr/local/bin:/usr/bin:/bin")
-        told["MFCMT_STATE_DIR"] = str(self.state)
+        told["MFCMT_STATE_DIR"] = told["MFCMT_STATE_DIR"].replace(STATE, str(self.state))
         return told | {"HOME": "/nonexistent", "TMPDIR": str(self.tmp)} | changes
 
     def build(self, *also: str) -> None:

@@ -67,7 +67,7 @@ def create_app(
     secrets = [secret.get_secret_value().encode() for secret in settings.signing_keys]
     seal = Seal(secrets or [token_bytes(SECRET_BYTES)])
     meter = Meter(settings, clock)
-    exposition = Exposition(metrics, book.__len__, settings.capacity, lanes)
+    exposition = Exposition(metrics, book.__len__, settings.capacity, lanes, book.keeper.budget)
     service = Service(settings, lanes, book, Gate(settings, clock), metrics, exposition, meter, seal)
 
     app = FastAPI(
@@ -100,6 +100,7 @@ def local_lanes(settings: Settings) -> LanePool:
         lane_config(settings),
         deadline_s=settings.operation_deadline_s,
         start_timeout_s=settings.lane_start_timeout_s,
+        max_rss_bytes=settings.max_lane_rss_bytes,
     )
 
 
@@ -119,6 +120,9 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         log.warning("no MFCMT_SIGNING_KEYS: snapshots are good until this process ends")
     if not settings.authenticated and not settings.on_loopback:
         log.warning("listening beyond loopback without keys: everyone shares all sessions", host=settings.host)
+    if not settings.state_dir:
+        log.warning("no MFCMT_STATE_DIR: sessions end with this process")
+    await service.book.load()
     await service.lanes.start()
     keepers = [
         asyncio.create_task(work)
@@ -132,6 +136,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     try:
         yield
     finally:
+        await service.book.park()
         for keeper in keepers:
             keeper.cancel()
         await asyncio.gather(*keepers, return_exceptions=True)

@@ -81,9 +81,9 @@ class ProblemError(Exception):
         return told
 
 
-def session_gone(reason: str) -> ProblemError:
+def session_gone(reason: str, detail: str = "") -> ProblemError:
     """The session was the caller's and has ended: ``closed``, ``idle``, ``expired`` or ``lost``."""
-    return ProblemError("session-gone", f"the session ended: {reason}", reason=reason)
+    return ProblemError("session-gone", f"the session ended: {detail or reason}", reason=reason)
 
 
 def session_not_found() -> ProblemError:

@@ -35,7 +35,7 @@ class Seal:
         self._secrets = {_name(secret): secret for secret in reversed(secrets)}
         self._first = _name(secrets[0])
 
-    def close(self, owner: str, body: bytes) -> bytes:
+    def close(self, owner: str, body: bytes | memoryview) -> bytes:
         """``body`` versioned and signed for ``owner``."""
         start = _HEAD.pack(MAGIC, VERSION, self._first, len(body), b"")[:-_MAC_BYTES]
         mac = _mac(self._secrets[self._first], (_PURPOSE, start, _sized(owner), body))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import random
 import signal
 from importlib.util import find_spec
@@ -21,6 +22,9 @@ from .settings import Settings
 ENVELOPE_BYTES = 4096
 SHUTDOWN_S = 5
 DRAIN_TICK_S = 0.05
+# When clients may come back: after this, and so much later.
+RETURN_S = 0.5
+SPREAD_S = (0.0, 1.5)
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.server")
 
@@ -56,14 +60,17 @@ class Server(uvicorn.Server):
             self._draining = asyncio.ensure_future(self._drain(name))
         else:
             log.info("stopping at once", signal=name)
-            self._draining.cancel()
-            self.force_exit = self.should_exit = True
+            self._service.book.end_streams(1012, "service restart")
+            # Nothing is tidied up: the lanes end with this process, and what it has saved is whole.
+            asyncio.get_running_loop().call_later(DRAIN_TICK_S, os._exit, 0)
 
     async def _drain(self, name: str) -> None:
         book, grace_s = self._service.book, self._service.settings.drain_grace_s
         log.info("draining", signal=name, streams=book.streams(), sessions=len(book))
+        # Without a state directory streams may go on for the grace, with it they may come back at once.
         # Spread the returns, so that the next process is not met by all clients at once.
-        book.drain(lambda: round(grace_s + random.uniform(0.5, 3.0), 2))  # noqa: S311
+        soonest_s = RETURN_S if book.keeper.durable else grace_s
+        book.drain(lambda: round(soonest_s + random.uniform(*SPREAD_S), 2))  # noqa: S311
         deadline = asyncio.get_running_loop().time() + grace_s
         while book.streams() and asyncio.get_running_loop().time() < deadline:
             await asyncio.sleep(DRAIN_TICK_S)

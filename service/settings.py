@@ -44,7 +44,22 @@ class Settings(BaseSettings):
     max_targets_per_session: int = Field(default=16, ge=1, le=256, description="targets in one session")
     region_lag_frames: int = Field(default=1, ge=0, le=30, description="frames in flight that a region leaves room for")
     operation_deadline_s: float = _positive(5.0, "one operation in a lane; a lane that takes longer is replaced")
+    max_lane_rss_bytes: int = Field(
+        default=1536 * MIB, ge=256 * MIB, description="resident memory of one lane; a lane that outgrows it is replaced"
+    )
     lane_start_timeout_s: float = _positive(180.0, "from the start of a lane to its first word")
+
+    checkpoint_every_frames: int = Field(
+        default=30, ge=1, le=10_000, description="frames of a session between two checkpoints of its state"
+    )
+    max_replay_bytes: int = Field(
+        default=16 * MIB, ge=64 * 1024, description="frames kept of one session since its checkpoint"
+    )
+    max_recovery_bytes: int = Field(
+        default=512 * MIB, ge=MIB, description="checkpoints and frames kept of all sessions"
+    )
+    recovery_timeout_s: float = _positive(30.0, "a session whose lane is lost refuses calls after waiting this long")
+    state_dir: str = Field(default="", description="where sessions outlive the process; none means that they do not")
 
     max_frame_bytes: int = Field(default=8 * MIB, ge=1024, description="bytes of one encoded frame")
     max_frame_pixels: int = Field(
@@ -92,7 +107,10 @@ class Settings(BaseSettings):
     max_head_bytes: int = Field(default=32 * 1024, ge=1024, description="bytes of a call's request line and headers")
     head_timeout_s: float = _positive(10.0, "from the first byte of a connection or call to the end of its head")
     drain_grace_s: float = Field(
-        default=15.0, ge=0, allow_inf_nan=False, description="from SIGTERM to the end of open streams"
+        default=15.0,
+        ge=0,
+        allow_inf_nan=False,
+        description="after SIGTERM, for work in flight; without a state directory, for open streams",
     )
 
     api_keys: Secrets = Field(default=(), description="keys that clients must show; none means no authentication")

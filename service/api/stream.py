@@ -123,6 +123,7 @@ class StreamEndpoint:
             "region_lag": settings.region_lag_frames,
             "next_seq": session.last_number + 1,
             "attachment": name,
+            "lost_after": session.lost_after,
         }
 
     async def _refuse(

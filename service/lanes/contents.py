@@ -1,4 +1,7 @@
-"""What is in a session's snapshot, checked field by field before anything is made of it."""
+"""A session's state as bytes: its checkpoints, which never leave the service, and its snapshots, which do.
+
+What comes back from a client is checked field by field before anything is made of it.
+"""
 
 from __future__ import annotations
 
@@ -28,15 +31,21 @@ def pack(contents: dict[str, Any]) -> bytes:
     return data
 
 
-def unpack(data: bytes, limits: FrameLimits, max_targets: int) -> dict[str, Any]:
-    """The contents. Raises ValueError and BadSnapshot, whatever is wrong with them."""
+def unpack(data: bytes) -> dict[str, Any]:
+    """What :func:`pack` was given, if these are its bytes. Raises ValueError if they are not even MessagePack."""
     try:
-        contents = msgpack.unpackb(data)
-        _check(contents, limits, max_targets)
-    except (TypeError, KeyError, AttributeError, RecursionError, FrameError, msgpack.UnpackException) as wrong:
-        raise ValueError("not the contents of a snapshot") from wrong
-    told: dict[str, Any] = contents
+        told: dict[str, Any] = msgpack.unpackb(data)
+    except (RecursionError, msgpack.UnpackException) as wrong:
+        raise ValueError("not MessagePack") from wrong
     return told
+
+
+def check(contents: Any, limits: FrameLimits, max_targets: int) -> None:
+    """Look at what a client sent in. Raises ValueError and BadSnapshot, whatever is wrong with it."""
+    try:
+        _check(contents, limits, max_targets)
+    except (TypeError, KeyError, AttributeError, RecursionError, FrameError) as wrong:
+        raise ValueError("not the contents of a snapshot") from wrong
 
 
 def _check(contents: Any, limits: FrameLimits, max_targets: int) -> None:

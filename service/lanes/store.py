@@ -49,6 +49,10 @@ class Store:
                 state = session.begin(data, args["boxes"])
                 self._sessions[key] = session
                 return state
+            case "checkpoint":
+                return contents.pack(self._sessions[key].to_dict())
+            case "revive":
+                return self._revive(key, data)
             case "snapshot":
                 return contents.pack(self._sessions[key].to_dict() | {"front": args["front"]})
             case "restore":
@@ -59,14 +63,24 @@ class Store:
             case _:
                 raise ValueError(op)
 
+    def _revive(self, key: str, data: bytes) -> dict[str, Any]:
+        try:
+            return self._resumed(key, contents.unpack(data)).state()
+        except (ValueError, TypeError, KeyError, IndexError) as bad:
+            raise Refused("bad-snapshot", "the checkpoint cannot be read") from bad
+
     def _restore(self, key: str, data: bytes) -> dict[str, Any]:
         try:
-            told = contents.unpack(data, self._limits, self._max_targets)
-            session = HostedSession.from_dict(self._options(told["options"]), told)
+            told = contents.unpack(data)
+            contents.check(told, self._limits, self._max_targets)
+            state = self._resumed(key, told).state()
         except (BadSnapshot, ValueError) as bad:
             raise Refused("bad-snapshot", "its contents do not fit together") from bad
-        self._sessions[key] = session
-        return session.state() | {"front": told["front"], "options": told["options"]}
+        return state | {"front": told["front"], "options": told["options"]}
+
+    def _resumed(self, key: str, told: dict[str, Any]) -> HostedSession:
+        session = self._sessions[key] = HostedSession.from_dict(self._options(told["options"]), told)
+        return session
 
     def _options(self, chosen: dict[str, Any]) -> Options:
         return Options(self._limits, self._max_targets, self._region_lag, **chosen)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import Callable, Iterable, Iterator
 from importlib.metadata import version
 from itertools import chain
+from typing import Protocol
 
 from prometheus_client import CollectorRegistry, PlatformCollector, ProcessCollector
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
@@ -16,13 +18,24 @@ from ..lanes.interface import Lanes, LaneUsage
 from .metrics import Metrics
 
 OPENMETRICS_END = b"# EOF\n"
+HEAD = re.compile(rb"\A(#[^\n]*\n)+")
+SAMPLES_AT_ONCE = 32
+
+
+class Kept(Protocol):
+    """Bytes that are kept to restore sessions."""
+
+    limit: int
+    checkpoints: int
+    frames: int
 
 
 class Exposition:
     """What the service counts, and what it and its processes are just now."""
 
-    def __init__(self, metrics: Metrics, sessions: Callable[[], int], capacity: int, lanes: Lanes) -> None:
+    def __init__(self, metrics: Metrics, sessions: Callable[[], int], capacity: int, lanes: Lanes, kept: Kept) -> None:
         self._metrics, self._sessions, self._capacity, self._lanes = metrics, sessions, capacity, lanes
+        self._kept = kept
         self._process = CollectorRegistry()
         ProcessCollector(registry=self._process)
         PlatformCollector(registry=self._process)
@@ -31,14 +44,19 @@ class Exposition:
         """All metrics and their media type: OpenMetrics, with exemplars, for who accepts it.
 
         All of it at once would keep the event loop for a millisecond or two. So what asks the system does it
-        in a thread, and the loop has its turn after each family.
+        in a thread, and the loop has its turn after every few samples.
         """
         encode, media_type = choose_encoder(accept)
         process, usage = await asyncio.to_thread(lambda: (list(self._process.collect()), self._lanes.usage()))
         parts = []
         for family in chain(self._metrics.registry.collect(), self._now(usage), process):
-            parts.append(encode(_One(family)).removesuffix(OPENMETRICS_END))
-            await asyncio.sleep(0)
+            # When a series began is of no use to Prometheus, and would be half of all lines.
+            samples = [sample for sample in family.samples if not sample.name.endswith("_created")]
+            for at in range(0, len(samples), SAMPLES_AT_ONCE):
+                family.samples = samples[at : at + SAMPLES_AT_ONCE]
+                text = encode(_One(family)).removesuffix(OPENMETRICS_END)
+                parts.append(text if at == 0 else HEAD.sub(b"", text))
+                await asyncio.sleep(0)
         if "openmetrics" in media_type:
             parts.append(OPENMETRICS_END)
         return b"".join(parts), media_type
@@ -50,14 +68,21 @@ class Exposition:
         cpu = CounterMetricFamily("mfcmt_lane_cpu_seconds", "CPU time of a lane's process", labels=["lane"])
         keys = GaugeMetricFamily("mfcmt_lane_sessions", "Sessions in a lane", labels=["lane"])
         ready = GaugeMetricFamily("mfcmt_lane_ready", "1 when a lane takes sessions", labels=["lane"])
+        failing = GaugeMetricFamily("mfcmt_lane_failing", "1 when a lane dies again and again", labels=["lane"])
         statuses = self._lanes.status()
         for status in statuses:
             keys.add_metric([str(status.lane)], status.keys)
             ready.add_metric([str(status.lane)], float(status.ready))
+            failing.add_metric([str(status.lane)], float(status.failing))
         for used in usage:
             rss.add_metric([str(used.lane)], used.rss_bytes)
             cpu.add_metric([str(used.lane)], used.cpu_s)
-        yield from (rss, cpu, keys, ready)
+        yield from (rss, cpu, keys, ready, failing)
+        kept = GaugeMetricFamily("mfcmt_recovery_bytes", "Kept to restore sessions", labels=["what"])
+        kept.add_metric(["checkpoints"], self._kept.checkpoints)
+        kept.add_metric(["frames"], self._kept.frames)
+        yield kept
+        yield GaugeMetricFamily("mfcmt_recovery_bytes_limit", "Most that is kept to restore sessions", self._kept.limit)
         told = next((status.versions for status in statuses if status.versions), {})
         names = ["version", "opencv", "numpy"]
         build = GaugeMetricFamily("mfcmt_build_info", "Versions; always 1", labels=names)

@@ -17,6 +17,8 @@ from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapProp
 from .stages import Stages
 
 SECOND_NS = 1_000_000_000
+# For one batch, its retries included; the last one is waited for when the service stops.
+EXPORT_S = 2.0
 
 
 class Tracing:
@@ -28,7 +30,7 @@ class Tracing:
     def __init__(self, endpoint: str, ratio: float, version: str) -> None:
         resource = Resource.create({"service.name": "mfcmt", "service.version": version})
         self._provider = TracerProvider(resource=resource, sampler=ParentBased(TraceIdRatioBased(ratio)))
-        exporter = OTLPSpanExporter(endpoint=f"{endpoint.rstrip('/')}/v1/traces")
+        exporter = OTLPSpanExporter(endpoint=f"{endpoint.rstrip('/')}/v1/traces", timeout=EXPORT_S)
         self._provider.add_span_processor(BatchSpanProcessor(exporter))
         self._tracer = self._provider.get_tracer("mfcmt", version)
         self._propagator = TraceContextTextMapPropagator()

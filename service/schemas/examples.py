@@ -112,9 +112,10 @@ READY = {
     "region_lag": 1,
     "next_seq": 1,
     "attachment": "Zk3v0c8VYw1q",
+    "lost_after": None,
 }
 TARGETS = {"type": "targets", "ref": "a1", "region": REGION, "targets": [STARTED]}
-DRAINING = {"type": "draining", "reconnect_in_s": 3.2}
+DRAINING = {"type": "draining", "reconnect_in_s": 3.2, "resumable": True}
 META = {"type": "meta", "seq": 17, "ts": 1712.5, "region": REGION}
 CONTROLS = [
     {"type": "add", "box": BOX, "ref": "a1"},

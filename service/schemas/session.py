@@ -225,7 +225,7 @@ class Capabilities(Model):
 class Health(Model):
     """Whether the process lives, or takes work."""
 
-    status: Literal["ok", "starting", "draining"]
+    status: Literal["ok", "starting", "failing", "draining"]
     lanes_ready: int
     lanes: int
 

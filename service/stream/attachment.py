@@ -68,6 +68,7 @@ class StreamAttachment:
         self._bucket = Bucket(settings.max_messages_per_s, time.monotonic())
         self._refused_in_a_row = 0
         self._ending = False
+        self._finishing: tuple[int, str] | None = None
         self._in_lane = False
         self._unsent = 0
         self._unsent_since = 0.0
@@ -100,6 +101,12 @@ class StreamAttachment:
         """Send a message when there is room."""
         self._later(self._send(message))
 
+    def finish(self, code: int, reason: str) -> None:
+        """Read no more, answer what has been read, and close."""
+        if self._finishing is None:
+            self._finishing = code, reason
+            self._later(self._finish())  # after what was told before
+
     def end(self, code: int, reason: str) -> None:
         """Close; the frame in work is finished and kept, what waits is discarded."""
         if self._ending:
@@ -122,6 +129,10 @@ class StreamAttachment:
         self._flow.discard()
         if self._pump_task is not None and not self._in_lane:
             self._pump_task.cancel()
+
+    async def _finish(self) -> None:
+        if self._finishing is not None and self._flow.empty and not self._in_lane:
+            self.end(*self._finishing)
 
     def _later(self, work: Any) -> None:
         task = asyncio.ensure_future(work)
@@ -147,7 +158,7 @@ class StreamAttachment:
             event = await self._receive()
             if event["type"] == "websocket.disconnect":
                 return
-            if self._ending:
+            if self._ending or self._finishing:
                 continue
             arrived = time.monotonic()
             try:
@@ -237,6 +248,7 @@ class StreamAttachment:
             if job.frame is not None and stages is not None:
                 sent_s = time.monotonic() - begun
                 self._metrics.frame(stages, self._session.id, job.frame.seq, self._span, live=False, sent_s=sent_s)
+            await self._finish()
 
     async def _work(self, job: Job) -> tuple[list[dict[str, Any]], Stages | None]:
         """Have the job done; what the client is told, and the time a tracked frame took."""

@@ -24,6 +24,13 @@ from mfcmt_core.cli.warmup import dispatchers
 print(sum(len(d.stats.cache_misses) for d in dispatchers()), sum(len(d.stats.cache_hits) for d in dispatchers()))
 """
 
+ONE_KERNEL = """
+import numpy as np
+from mfcmt_core.kernels.cells import gray_cells as k
+k(np.zeros((8, 8), np.uint8), np.ones((2, 2), np.float32), np.ones((2, 2), np.float32))
+print(len(k.stats.cache_misses), len(k.stats.cache_hits))
+"""
+
 
 def load() -> ModuleType:
     """docker/try_image.py, which is a command."""
@@ -119,6 +126,13 @@ def test_kernels_are_there_for_both_cpus_and_nothing_is_compiled_or_warned_of(co
     assert listing(container.opt) == before
 
 
+def test_for_a_cpu_that_was_not_thought_of_kernels_are_compiled_in_memory(container) -> None:
+    before = listing(container.opt)
+    done = container.run(["python", "-c", ONE_KERNEL], NUMBA_CPU_NAME="nehalem")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "1 0\n", "")
+    assert listing(container.opt) == before
+
+
 def test_another_source_time_changes_nothing(container) -> None:
     sources = list(container.opt.rglob("mfcmt_core/kernels/*.py"))
     assert sources
@@ -144,6 +158,8 @@ def test_it_serves_from_a_tree_that_it_cannot_write(container) -> None:
         port = served.url.rpartition(":")[2]
         _, took = try_image.first_frames(served.url, 10)
         assert len(took) == 10
+        # sockets and folders, but no file: frames do not touch a disk
+        assert [p for p in container.tmp.rglob("*") if p.is_file()] == []
         assert container.run(container.image.health, MFCMT_PORT=port).returncode == 0
     assert served.process.returncode in (0, -15)
     assert '"level": "error"' not in served.log

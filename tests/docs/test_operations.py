@@ -1,0 +1,48 @@
+"""The operator's guide is complete and says what is so."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from service.problems import CATALOGUE
+from service.settings import Settings
+from tests.conftest import ROOT
+
+from .tables import GUIDE, TABLES, block
+
+TEXT = GUIDE.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_are_those_of_the_code(name: str) -> None:
+    found = block(name).search(TEXT)
+    assert found is not None
+    assert found[2] == TABLES[name](), "make guide writes it anew"
+
+
+def test_every_setting_is_in_the_guide_and_no_other() -> None:
+    named = set(re.findall(r"MFCMT_[A-Z_]+[A-Z]", TEXT))
+    fields = {f"MFCMT_{name.upper()}" for name in Settings.model_fields}
+    assert fields <= named
+    assert named - fields <= {"MFCMT_STATE_DIR", "MFCMT_OTB_ROOT"}
+
+
+def test_labels_take_their_values_from_closed_sets() -> None:
+    groups = re.findall(r"(?:counter|gauge) by (.*?) \|", TABLES["metrics"]())
+    named = {label.strip("`") for group in groups for label in group.split(", ")}
+    assert named <= {"code", "reason", "cause", "preset", "via", "lane", "version", "opencv", "numpy", "what"}
+
+
+def test_every_problem_that_an_operator_causes_is_explained() -> None:
+    for code in ("at-capacity", "rate-limited", "draining", "deadline-exceeded", "internal", "origin-refused"):
+        assert code in CATALOGUE
+        assert f"`{code}`" in TEXT
+
+
+def test_files_that_are_named_exist() -> None:
+    for path in re.findall(r"`((?:docker|docs|tests)/[\w./-]+)`", TEXT):
+        assert (ROOT / path).exists(), path
+    for path in re.findall(r"\]\(([\w./-]+\.md)(?:#[\w-]+)?\)", TEXT):
+        assert (GUIDE.parent / path).exists(), path
