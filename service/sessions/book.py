@@ -41,10 +41,10 @@ class Tombstone:
 
 @dataclass(frozen=True, slots=True)
 class Creation:
-    """What an Idempotency-Key has been used for."""
+    """What an Idempotency-Key has been used for: the id, because a session must not outlive its end here."""
 
     fingerprint: bytes
-    session: asyncio.Future[Session]
+    session: asyncio.Future[str]
 
 
 class SessionBook:
@@ -215,9 +215,8 @@ class SessionBook:
         if known is not None:
             if known.fingerprint != fingerprint:
                 raise ProblemError("bad-request", "the Idempotency-Key was used with another body")
-            session = await asyncio.shield(known.session)
-            return self.find(owner, session.id)
-        future: asyncio.Future[Session] = asyncio.get_running_loop().create_future()
+            return self.find(owner, await asyncio.shield(known.session))
+        future: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         self._creations.put(name, Creation(fingerprint, future))
         try:
             session = await make()
@@ -228,7 +227,7 @@ class SessionBook:
             future.set_exception(told)
             future.exception()
             raise
-        future.set_result(session)
+        future.set_result(session.id)
         return session
 
     def _open(self, owner: str, options: Options) -> Session:

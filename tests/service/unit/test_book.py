@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import gc
+import weakref
 from collections.abc import AsyncIterator, Sequence
 from typing import Any
 
@@ -275,3 +277,16 @@ async def test_one_operation_of_a_session_at_a_time() -> None:
     results = await asyncio.gather(*(session.track(frame) for frame in frames))
     assert [result["seq"] for result, *_ in results] == list(range(1, 11))
     assert len(session.trajectory) == 11
+
+
+async def test_a_key_that_is_remembered_keeps_no_session() -> None:
+    """For ten minutes an idempotency key answers; the session and its past go when it ends."""
+    world = World()
+    session = await world.create(key="k")
+    gone = weakref.ref(session)
+    world.book.close("me", session.id)
+    del session
+    gc.collect()
+    assert gone() is None
+    with pytest.raises(ProblemError, match="session-gone"):
+        await world.create(key="k")

@@ -112,3 +112,14 @@ async def test_every_lane_is_confined(serve: Serve, clip: Clip) -> None:
             assert len(spaces) == 3
     session = await wire.create(clip.frames[0], clip.box)
     assert (await wire.track(session["id"], clip.frames[1])).status_code == 200
+
+
+async def test_a_lane_works_in_one_thread(serve: Serve, clip: Clip) -> None:
+    """Also after it has decoded and tracked: a second one would double the time of the processor."""
+    require(sys.platform == "linux", "threads are counted in /proc")
+    wire = serve()
+    session = await wire.create(clip.frames[0], clip.box)
+    for frame in clip.frames[1:6]:
+        assert (await wire.track(session["id"], frame)).status_code == 200
+    (lane,) = (pid for role, pid in server_processes(wire.server.pid).items() if role.startswith("lane"))
+    assert len(os.listdir(f"/proc/{lane}/task")) == 1

@@ -6,11 +6,13 @@ import asyncio
 import contextlib
 import json
 import time
+from collections.abc import AsyncIterator
 from typing import Any
 
 import httpx2
 import psutil
 import pytest
+from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
 from service.load.clips import Clip
@@ -164,3 +166,55 @@ async def test_too_many_connections_are_told_so(serve: Serve, clip: Clip) -> Non
     async with asyncio.timeout(PATIENCE_S):
         while (await wire.http.get("/v1/sessions")).status_code != 200:
             await asyncio.sleep(0.05)
+
+
+async def test_an_upload_that_is_broken_off_leaves_no_trace(serve: Serve) -> None:
+    """No fault, no session, and a line that says so."""
+    wire = serve()
+    head = b"POST /v1/sessions HTTP/1.1\r\n" + HOST + b"Content-Type: multipart/form-data; boundary=b\r\n"
+    for rest in (b"Content-Length: 100000\r\n\r\n--b\r\n", b"Transfer-Encoding: chunked\r\n\r\n5\r\n--b\r\n"):
+        for _ in range(3):
+            _, writer = await dial(wire, head + rest)
+            await writer.drain()
+            writer.transport.abort()
+    async with asyncio.timeout(PATIENCE_S):
+        while wire.server.log.count('"path": "/v1/sessions"') < 6:
+            await asyncio.sleep(0.05)
+    assert "Traceback" not in wire.server.log
+    assert '"error"' not in wire.server.log
+    assert (await wire.http.get("/v1/sessions")).json()["sessions"] == []
+
+
+FORM_HEAD = b'--b\r\nContent-Disposition: form-data; name="frame"; filename="f"\r\n\r\n'
+TOO_LARGE = [
+    ("application/json", b"", "frame-too-large"),
+    ("application/msgpack", b"", "frame-too-large"),
+    ("multipart/form-data; boundary=b", FORM_HEAD, "frame-too-large"),
+    ("application/vnd.mfcmt.snapshot", b"", "body-too-large"),
+]
+
+
+async def test_a_body_above_its_limit(serve: Serve) -> None:
+    """Whether its length is told before or not: the same problem."""
+    wire = serve(max_frame_bytes=1_000_000, max_snapshot_bytes=1_000_000)
+
+    async def parts(head: bytes) -> AsyncIterator[bytes]:
+        yield head
+        for _ in range(200):
+            yield bytes(10_000)
+
+    for kind, head, code in TOO_LARGE:
+        for content in (head + bytes(2_000_000), parts(head)):
+            response = await wire.http.post("/v1/sessions", content=content, headers={"Content-Type": kind})
+            assert (response.status_code, response.json()["code"]) == (413, code)
+            assert response.headers["Content-Type"] == "application/problem+json"
+
+
+async def test_nothing_is_inflated(serve: Serve, clip: Clip) -> None:
+    """The extension is not negotiated, so that a small message cannot become a large one."""
+    wire = serve()
+    sid = (await wire.create(clip.frames[0], clip.box))["id"]
+    async with connect(f"ws{wire.server.url[4:]}/v1/sessions/{sid}/stream", compression="deflate") as socket:
+        assert socket.response is not None
+        assert "Sec-WebSocket-Extensions" not in socket.response.headers
+        assert not socket.protocol.extensions
