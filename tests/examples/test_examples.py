@@ -9,10 +9,6 @@ import re
 import shutil
 import subprocess
 import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +21,11 @@ from service.load.own import OwnServer
 from tests.conftest import ROOT, require
 from tests.service.jsclient.browser import FLAGS, PACKAGE, Pages, browser_path, write_y4m
 from tests.service.jsclient.conftest import HERE as JSCLIENT
+from tests.service.jsclient.test_browser import overlap
 from tests.service.live.conftest import Serve
 from tests.service.live.test_main_job import in_process
+
+from .rtsp import camera
 
 EXAMPLES = ROOT / "docs" / "examples"
 KEY = "a-key-for-the-examples-0123456789"
@@ -95,43 +94,22 @@ def test_python_with_a_file_and_several_targets(server: OwnServer, clip: Clip, f
     assert "no frame" in failed.stderr
 
 
-@contextmanager
-def motion_jpeg(clip: Clip, fps: float) -> Iterator[str]:
-    """A network camera of the simplest kind: it shows the clip once, whether or not anybody keeps up."""
-
-    class Camera(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            self.send_response(200)
-            self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
-            self.end_headers()
-            for frame in clip.frames:
-                head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(frame)}\r\n\r\n".encode()
-                self.wfile.write(head + frame + b"\r\n")
-                over.wait(1 / fps)
-
-        def log_message(self, format: str, *args: object) -> None:
-            pass
-
-    over = threading.Event()
-    camera = ThreadingHTTPServer(("127.0.0.1", 0), Camera)
-    thread = threading.Thread(target=camera.serve_forever, daemon=True)
-    thread.start()
-    try:
-        yield f"http://127.0.0.1:{camera.server_port}/video.mjpg"
-    finally:
-        over.set()
-        camera.shutdown()
-        camera.server_close()
-        thread.join()
-
-
 def test_python_with_a_live_stream(server: OwnServer, clip: Clip) -> None:
-    """The newest frame wins: results rise, and the last one is of the end of the stream."""
-    with motion_jpeg(clip, fps=25) as url:
-        told = rows(output([sys.executable, "track_video.py", url, comma(clip.box)], SERVICE=server.url))
-    seqs = [seq for seq, *_ in told]
-    assert seqs == sorted(set(seqs))
+    """RTSP, two targets: the newest frame wins, numbers rise, and what is found is where it is."""
+    width, height = (side - side % 8 for side in clip.size)
+    images = [decode(frame, LIMITS)[0][:height, :width] for frame in clip.frames]
+    x, y, w, h = clip.box
+    boxes = [comma(clip.box), comma((x + w / 4, y + h / 4, w / 2, h / 2))]
+    with camera(images, fps=20) as url:
+        told = rows(output([sys.executable, "track_video.py", url, *boxes], SERVICE=server.url))
+    seqs = [seq for seq, target, *_ in told if target == 0]
+    assert seqs == sorted(set(seqs)) == [seq for seq, target, *_ in told if target == 1]
     assert len(seqs) > len(clip.frames) // 4
+    found = [box for _, target, box, _ in told if target == 0]
+    truth = [clip.box, *(one[0].box for one in in_process(clip, [clip.box]))]
+    # Which frames of the film they were the camera does not tell: each box is near one of the truth.
+    near = [max(overlap(box, one) for one in truth) for box in found]
+    assert sum(near) / len(near) > 0.8
 
 
 def test_node(own_server: Serve, node: str, clip: Clip, files: list[str], tmp_path: Path) -> None:

@@ -209,8 +209,7 @@ export class Stream {
       const made = encoded
         ? { bytes: await bytesOf(source), region: options.region ?? null, saved: 0 }
         : await this.#encode(image, options.whole);
-      await this.#link.connected();
-      return this.#handOver(this.#link.connection, { ...made, takenAt, ts: options.ts }, options.seq);
+      return this.#handOver(await this.#link.connected(), { ...made, takenAt, ts: options.ts }, options.seq);
     } catch (error) {
       image?.close();
       throw this.#ended ?? error;
@@ -261,8 +260,7 @@ export class Stream {
     this.#room.taking += 1;
     try {
       const made = await this.#encode(sent.picture, true);
-      await this.#link.connected();
-      this.#handOver(this.#link.connection, { ...sent, ...made });
+      this.#handOver(await this.#link.connected(), { ...sent, ...made });
     } catch (error) {
       if (!this.#ended) this.#events.emit("problem", error);
     } finally {
