@@ -27,8 +27,8 @@ class ServerFailed(Exception):
 class OwnServer:
     """``mfcmt serve`` with ``settings`` (fields of :class:`service.settings.Settings`), ready when entered.
 
-    ``port`` 0 takes a free one.
-    What the caller's environment sets as ``MFCMT_*`` does not reach it; ``environment`` is added to it.
+    ``port`` 0 takes a free one. What the caller's environment sets as ``MFCMT_*`` does not reach it;
+    ``environment`` is added to it.
     """
 
     def __init__(

@@ -157,7 +157,7 @@ function changed() {
   byId("change-source").hidden = !here;
   byId("play").disabled = !here;
   byId("play").setAttribute("aria-label", player.playing ? "Pause" : player.ended ? "Back to the beginning" : "Play");
-  byId("play-icon").setAttribute("href", `/static/page/icons/sprite.svg#${player.playing ? "pause" : "play"}`);
+  byId("play-icon").setAttribute("href", player.playing ? "#i-pause" : "#i-play");
   byId("step").disabled = !here || state === "starting";
   byId("stop").disabled = state !== "tracking" && state !== "ended";
   byId("add-target").disabled = state !== "tracking";

@@ -9,6 +9,7 @@ export class Player {
   #stepping = false;
   #march = 0;
   #delivered = Promise.resolve();
+  #moving = Promise.resolve();
 
   /**
    * `deliver` takes the frame that is shown and resolves when the next may come; `preview` shows one that nobody
@@ -21,7 +22,8 @@ export class Player {
   open(source) {
     this.close();
     this.source = source;
-    this.ended = false;
+    this.ended = this.#stepping = false;
+    this.#moving = this.#delivered = Promise.resolve();
     source.onframe = () => this.#frame();
     source.onend = () => this.#end();
     this.playing = source.live;
@@ -53,14 +55,7 @@ export class Player {
   /** The next frame only. */
   async step() {
     if (this.playing) this.pause();
-    if (this.#stepping || !this.source) return;
-    this.#stepping = true;
-    try {
-      if (await this.source.step()) await this.#delivered;
-      else this.#end();
-    } finally {
-      this.#stepping = false;
-    }
+    if (this.source && !(await this.#advance())) this.#end();
   }
 
   async seek(time) {
@@ -90,21 +85,41 @@ export class Player {
   }
 
   async #go() {
-    if (!this.exact || this.source.live) return this.source.play();
-    const march = ++this.#march;
+    if (this.exact && !this.source.live) this.#walk(++this.#march);
+    else await this.source.play();
+  }
+
+  /** Frame by frame until something else is wanted. */
+  async #walk(march) {
     while (march === this.#march) {
-      if (!(await this.source.step())) {
+      if (!(await this.#advance())) {
         this.#end();
         return;
       }
-      await this.#delivered;
     }
   }
 
+  /** One frame further, after what is on its way; false at the end. */
+  #advance() {
+    const one = async () => {
+      if (!this.source) return true;
+      this.#stepping = true;
+      try {
+        if (!(await this.source.step())) return false;
+        await this.#delivered;
+        return true;
+      } finally {
+        this.#stepping = false;
+      }
+    };
+    return (this.#moving = this.#moving.then(one, one));
+  }
+
   #frame() {
-    const wanted = this.#stepping || (this.playing && (!this.#held || this.source.live));
-    if (wanted) this.#delivered = this.deliver();
-    else if (!this.source.live) this.preview();
+    const { live } = this.source;
+    const running = this.playing && (live || !(this.#held || this.exact));
+    if (running || this.#stepping) this.#delivered = this.deliver();
+    else if (!live) this.preview();
   }
 
   #end() {

@@ -2,7 +2,8 @@
 
 import { paint } from "./overlay.js";
 
-const KINDS = ["video/webm;codecs=vp9", "video/webm;codecs=vp8", "video/webm", "video/mp4"];
+// VP8 first: it leaves the processor to the picture.
+const KINDS = ["video/webm;codecs=vp8", "video/webm", "video/mp4"];
 const LEAST_WIDTH = 640;
 const BITS_PER_S = 4e6;
 

@@ -1,7 +1,8 @@
 // Where pictures come from: a camera, a video file, the sample clip. All are a <video> that is never shown itself.
 
 const RATES = [10, 12, 15, 20, 23.976, 24, 25, 29.97, 30, 48, 50, 59.94, 60, 120];
-const PRESENT_MS = 400;
+const PRESENT_MS = 3000;
+const HIDDEN_MS = 50; // a hidden page presents nothing
 
 /** What went wrong with a source; `code` is a word that `problems.js` explains. */
 export class SourceError extends Error {
@@ -64,7 +65,7 @@ export class Source {
     this.video.currentTime = time;
     await seeked;
     if (!(await presented)) {
-      this.time = this.video.currentTime; // a hidden page presents nothing
+      this.time = this.video.currentTime;
       this.onframe();
     }
   }
@@ -92,7 +93,7 @@ export class Source {
   #presented() {
     return new Promise((done) => {
       this.video.requestVideoFrameCallback(() => done(true));
-      setTimeout(() => done(false), PRESENT_MS);
+      setTimeout(() => done(false), document.hidden ? HIDDEN_MS : PRESENT_MS);
     });
   }
 }
