@@ -7,6 +7,7 @@ import contextlib
 import time
 from collections.abc import AsyncIterator, Callable
 from importlib.metadata import version
+from secrets import token_bytes
 from typing import TYPE_CHECKING
 
 import structlog
@@ -34,13 +35,17 @@ from .lanes.pool import LanePool
 from .observability.exposition import Exposition
 from .observability.lag import watch_lag
 from .observability.metrics import Metrics
+from .seal import Seal
 from .service import Service
 from .sessions.book import SessionBook
 from .sessions.config import lane_config
+from .sessions.meter import Meter
 from .settings import Settings
 
 if TYPE_CHECKING:
     from .observability.tracing import Tracing
+
+SECRET_BYTES = 32
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.app")
 
@@ -59,8 +64,11 @@ def create_app(
     metrics = Metrics(_tracing(settings))
     lanes = lanes or local_lanes(settings)
     book = SessionBook(settings, lanes, metrics, clock)
-    exposition = Exposition(metrics, book.__len__, settings.capacity, lanes)
-    service = Service(settings, lanes, book, Gate(settings, clock), metrics, exposition)
+    secrets = [secret.get_secret_value().encode() for secret in settings.signing_keys]
+    seal = Seal(secrets or [token_bytes(SECRET_BYTES)])
+    meter = Meter(settings, clock)
+    exposition = Exposition(metrics, book.__len__, settings.capacity, lanes, book.keeper.budget)
+    service = Service(settings, lanes, book, Gate(settings, clock), metrics, exposition, meter, seal)
 
     app = FastAPI(
         title="MFCMT",
@@ -92,6 +100,7 @@ def local_lanes(settings: Settings) -> LanePool:
         lane_config(settings),
         deadline_s=settings.operation_deadline_s,
         start_timeout_s=settings.lane_start_timeout_s,
+        max_rss_bytes=settings.max_lane_rss_bytes,
     )
 
 
@@ -109,20 +118,25 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     settings = service.settings
     if not settings.signing_keys:
         log.warning("no MFCMT_SIGNING_KEYS: snapshots are good until this process ends")
-    if not settings.api_keys and not settings.on_loopback:
+    if not settings.authenticated and not settings.on_loopback:
         log.warning("listening beyond loopback without keys: everyone shares all sessions", host=settings.host)
+    if not settings.state_dir:
+        log.warning("no MFCMT_STATE_DIR: sessions end with this process")
+    await service.book.load()
     await service.lanes.start()
     keepers = [
         asyncio.create_task(work)
         for work in (
             service.book.keep(),
             service.book.follow_lanes(),
+            service.follow_keys(),
             watch_lag(service.metrics.loop_lag_seconds),
         )
     ]
     try:
         yield
     finally:
+        await service.book.park()
         for keeper in keepers:
             keeper.cancel()
         await asyncio.gather(*keepers, return_exceptions=True)

@@ -42,6 +42,7 @@ CATALOGUE: dict[str, Kind] = {
     "too-many-targets": Kind(422, "The session has too many targets", "at most 16 targets"),
     "over-credit": Kind(429, "Too many frames wait for their answer", "at most 4 unanswered frames"),
     "rate-limited": Kind(429, "Too many messages or calls", "slow down"),
+    "over-quota": Kind(429, "The key has as much as it may have", "at most 1024 sessions of a key"),
     "internal": Kind(500, "A fault of the service", "the fault is logged under the request id"),
     "at-capacity": Kind(503, "The service is full", "no place for another session"),
     "draining": Kind(503, "The service is going away", "the service is going away"),
@@ -80,9 +81,9 @@ class ProblemError(Exception):
         return told
 
 
-def session_gone(reason: str) -> ProblemError:
+def session_gone(reason: str, detail: str = "") -> ProblemError:
     """The session was the caller's and has ended: ``closed``, ``idle``, ``expired`` or ``lost``."""
-    return ProblemError("session-gone", f"the session ended: {reason}", reason=reason)
+    return ProblemError("session-gone", f"the session ended: {detail or reason}", reason=reason)
 
 
 def session_not_found() -> ProblemError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import random
 import signal
 from importlib.util import find_spec
@@ -12,9 +13,8 @@ from typing import Any
 import structlog
 import uvicorn
 from fastapi import FastAPI
-from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-from .api.stream import ABORT_EXTENSION
+from .connections import allow_files, protocols
 from .service import Service
 from .settings import Settings
 
@@ -22,30 +22,11 @@ from .settings import Settings
 ENVELOPE_BYTES = 4096
 SHUTDOWN_S = 5
 DRAIN_TICK_S = 0.05
-ABORT_AFTER_S = 5.0
+# When clients may come back: after this, and so much later.
+RETURN_S = 0.5
+SPREAD_S = (0.0, 1.5)
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.server")
-
-
-class FrameProtocol(WebSocketsSansIOProtocol):
-    """uvicorn's WebSocket; a client that stops reading cannot keep its connection for ever."""
-
-    async def run_asgi(self) -> None:
-        """Give the application a way to cut the connection."""
-        extensions: dict[str, Any] = self.scope["extensions"]
-        extensions[ABORT_EXTENSION] = self.transport.abort
-        await super().run_asgi()
-
-    async def send(self, message: Any) -> None:
-        """As ever; and a refused handshake is complete, so that uvicorn does not log it as a fault."""
-        await super().send(message)
-        if self.initial_response is not None and self.close_sent:
-            self.handshake_complete = True
-
-    def keepalive_timeout(self) -> None:
-        """No pong: close, and cut if the close frame finds no reader either."""
-        super().keepalive_timeout()
-        self.loop.call_later(ABORT_AFTER_S, self.transport.abort)
 
 
 class Server(uvicorn.Server):
@@ -60,6 +41,8 @@ class Server(uvicorn.Server):
     async def startup(self, sockets: Any = None) -> None:
         """Start, and say where."""
         self._loop = asyncio.get_running_loop()
+        if not allow_files(self._service.settings):
+            log.warning("the limit of open files is below max_connections")
         await super().startup(sockets)
         if self.started:
             host, port = self.servers[0].sockets[0].getsockname()[:2]
@@ -77,14 +60,17 @@ class Server(uvicorn.Server):
             self._draining = asyncio.ensure_future(self._drain(name))
         else:
             log.info("stopping at once", signal=name)
-            self._draining.cancel()
-            self.force_exit = self.should_exit = True
+            self._service.book.end_streams(1012, "service restart")
+            # Nothing is tidied up: the lanes end with this process, and what it has saved is whole.
+            asyncio.get_running_loop().call_later(DRAIN_TICK_S, os._exit, 0)
 
     async def _drain(self, name: str) -> None:
         book, grace_s = self._service.book, self._service.settings.drain_grace_s
         log.info("draining", signal=name, streams=book.streams(), sessions=len(book))
+        # Without a state directory streams may go on for the grace, with it they may come back at once.
         # Spread the returns, so that the next process is not met by all clients at once.
-        book.drain(lambda: round(grace_s + random.uniform(0.5, 3.0), 2))  # noqa: S311
+        soonest_s = RETURN_S if book.keeper.durable else grace_s
+        book.drain(lambda: round(soonest_s + random.uniform(*SPREAD_S), 2))  # noqa: S311
         deadline = asyncio.get_running_loop().time() + grace_s
         while book.streams() and asyncio.get_running_loop().time() < deadline:
             await asyncio.sleep(DRAIN_TICK_S)
@@ -97,18 +83,18 @@ def make_server(app: FastAPI) -> Server:
     """A server for what ``create_app`` built; ``run()`` or ``serve()`` it."""
     service: Service = app.state.service
     settings: Settings = service.settings
+    calls, frames = protocols(settings)
     config = uvicorn.Config(
         app,
         host=settings.host,
         port=settings.port,
         loop="uvloop" if find_spec("uvloop") else "asyncio",
-        http="httptools" if find_spec("httptools") else "h11",
-        ws=FrameProtocol,
+        http=calls,
+        ws=frames,
         ws_max_size=2 * settings.max_frame_bytes + ENVELOPE_BYTES,
         ws_per_message_deflate=False,
         ws_ping_interval=settings.ping_interval_s,
         ws_ping_timeout=settings.ping_timeout_s,
-        limit_concurrency=settings.max_connections,
         timeout_graceful_shutdown=SHUTDOWN_S,
         server_header=False,
         access_log=False,

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass, field
+import asyncio
+from dataclasses import dataclass
 from typing import Any
+
+import structlog
 
 from .auth import Gate
 from .lanes.interface import Lanes
 from .observability.exposition import Exposition
 from .observability.metrics import Metrics
-from .problems import ProblemError
+from .seal import Seal
 from .sessions.book import SessionBook
-from .sessions.bucket import Bucket
-from .sessions.session import Session
+from .sessions.meter import Meter
+from .sessions.session import Attachment, Session
 from .settings import Settings
+
+KEYS_EVERY_S = 1.0
+
+log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.service")
 
 
 @dataclass(slots=True)
@@ -27,14 +33,21 @@ class Service:
     gate: Gate
     metrics: Metrics
     exposition: Exposition
-    buckets: dict[str, Bucket] = field(default_factory=dict)
+    meter: Meter
+    seal: Seal
 
-    def spend(self, owner: str) -> None:
-        """Count a call or handshake of this key. Raises rate-limited."""
-        now = time.monotonic()
-        bucket = self.buckets.setdefault(owner, Bucket(self.settings.max_requests_per_s, now))
-        if wait_s := bucket.take(now):
-            raise ProblemError("rate-limited", "too many calls", retry_after_s=round(wait_s, 3))
+    async def follow_keys(self) -> None:
+        """Cut the streams of keys that are revoked, for as long as the service runs."""
+        while True:
+            await asyncio.sleep(KEYS_EVERY_S)
+            if self.gate.refresh():
+                cut = self.book.end_streams(
+                    4401, "the key was revoked", lambda stream: not self.gate.knows(stream.identity)
+                )
+                log.info("streams of revoked keys cut", streams=cut)
+
+    def _revoked(self, stream: Attachment) -> bool:
+        return not self.gate.knows(stream.identity)
 
     def describe(self, session: Session, base_url: str) -> dict[str, Any]:
         """The Session of the protocol; ``base_url`` is how the caller reaches the service."""

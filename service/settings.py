@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from ipaddress import ip_address
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from .keys import LEAST_CHARACTERS, read_keys
 from .lanes.cores import usable_cores
 
 MIB = 1024 * 1024
@@ -16,8 +18,8 @@ Secrets = Annotated[tuple[SecretStr, ...], NoDecode]
 Names = Annotated[tuple[str, ...], NoDecode]
 
 
-def _positive(default: float, description: str) -> Any:
-    return Field(default=default, gt=0, le=TEN_YEARS_S, allow_inf_nan=False, description=description)
+def _positive(default: float, description: str, most: float = TEN_YEARS_S) -> Any:
+    return Field(default=default, gt=0, le=most, allow_inf_nan=False, description=description)
 
 
 class Settings(BaseSettings):
@@ -38,10 +40,26 @@ class Settings(BaseSettings):
     max_sessions_per_lane: int = Field(
         default=16, ge=1, description="sessions in one lane; the service holds lanes times this"
     )
+    max_sessions_per_key: int = Field(default=1024, ge=1, description="sessions of one key")
     max_targets_per_session: int = Field(default=16, ge=1, le=256, description="targets in one session")
     region_lag_frames: int = Field(default=1, ge=0, le=30, description="frames in flight that a region leaves room for")
     operation_deadline_s: float = _positive(5.0, "one operation in a lane; a lane that takes longer is replaced")
+    max_lane_rss_bytes: int = Field(
+        default=1536 * MIB, ge=256 * MIB, description="resident memory of one lane; a lane that outgrows it is replaced"
+    )
     lane_start_timeout_s: float = _positive(180.0, "from the start of a lane to its first word")
+
+    checkpoint_every_frames: int = Field(
+        default=30, ge=1, le=10_000, description="frames of a session between two checkpoints of its state"
+    )
+    max_replay_bytes: int = Field(
+        default=16 * MIB, ge=64 * 1024, description="frames kept of one session since its checkpoint"
+    )
+    max_recovery_bytes: int = Field(
+        default=512 * MIB, ge=MIB, description="checkpoints and frames kept of all sessions"
+    )
+    recovery_timeout_s: float = _positive(30.0, "a session whose lane is lost refuses calls after waiting this long")
+    state_dir: str = Field(default="", description="where sessions outlive the process; none means that they do not")
 
     max_frame_bytes: int = Field(default=8 * MIB, ge=1024, description="bytes of one encoded frame")
     max_frame_pixels: int = Field(
@@ -71,18 +89,34 @@ class Settings(BaseSettings):
     credit_frames: int = Field(default=4, ge=1, le=64, description="unanswered frames of a lossless stream")
     max_messages_per_s: float = _positive(2000.0, "messages of one stream; as many again may come at once")
     max_requests_per_s: float = _positive(1000.0, "HTTP calls of one key; as many again may come at once")
+    max_frames_per_s: float = _positive(10_000.0, "frames of all keys; as many again may come at once")
+    max_frames_per_s_per_key: float = _positive(5000.0, "frames of one key; as many again may come at once")
+    max_frame_bytes_per_s: float = _positive(512.0 * MIB, "bytes of frames and snapshots of all keys", 1e12)
+    max_frame_bytes_per_s_per_key: float = _positive(256.0 * MIB, "bytes of frames and snapshots of one key", 1e12)
+    max_streams: int = Field(default=2048, ge=1, description="attached streams")
+    max_streams_per_key: int = Field(default=1024, ge=1, description="attached streams of one key")
     max_refused_messages: int = Field(
         default=200, ge=1, description="messages refused for rate in a row before a stream closes"
     )
     send_timeout_s: float = _positive(20.0, "a stream whose client does not read closes after this long")
     ping_interval_s: float = _positive(20.0, "between pings on a stream")
     ping_timeout_s: float = _positive(20.0, "for the pong")
-    max_connections: int = Field(default=2048, ge=1, description="open connections; more get a bare 503")
+    max_connections: int = Field(
+        default=4096, ge=1, description="open connections; more are refused with at-capacity, above twice this cut"
+    )
+    max_head_bytes: int = Field(default=32 * 1024, ge=1024, description="bytes of a call's request line and headers")
+    head_timeout_s: float = _positive(10.0, "from the first byte of a connection or call to the end of its head")
     drain_grace_s: float = Field(
-        default=15.0, ge=0, allow_inf_nan=False, description="from SIGTERM to the end of open streams"
+        default=15.0,
+        ge=0,
+        allow_inf_nan=False,
+        description="after SIGTERM, for work in flight; without a state directory, for open streams",
     )
 
     api_keys: Secrets = Field(default=(), description="keys that clients must show; none means no authentication")
+    api_keys_file: Path | None = Field(
+        default=None, description="more keys, one a line as KEY or NAME KEY; read again when it changes"
+    )
     admin_key: SecretStr | None = Field(default=None, description="key for /metrics; none leaves it open")
     allow_unauthenticated: bool = Field(default=False, description="listen beyond loopback without keys")
     allowed_origins: Names = Field(
@@ -116,8 +150,15 @@ class Settings(BaseSettings):
     @field_validator("api_keys", "signing_keys")
     @classmethod
     def _long_enough(cls, value: tuple[SecretStr, ...]) -> tuple[SecretStr, ...]:
-        if any(len(secret.get_secret_value()) < 16 for secret in value):
-            raise ValueError("a key has at least 16 characters")
+        if any(len(secret.get_secret_value()) < LEAST_CHARACTERS for secret in value):
+            raise ValueError(f"a key has at least {LEAST_CHARACTERS} characters")
+        return value
+
+    @field_validator("api_keys_file")
+    @classmethod
+    def _readable(cls, value: Path | None) -> Path | None:
+        if value is not None:
+            read_keys(value)
         return value
 
     @field_validator("allowed_origins")
@@ -138,9 +179,14 @@ class Settings(BaseSettings):
 
     @model_validator(mode="after")
     def _keys_beyond_loopback(self) -> Settings:
-        if not (self.api_keys or self.allow_unauthenticated or self.on_loopback):
+        if not (self.authenticated or self.allow_unauthenticated or self.on_loopback):
             raise ValueError("host is not a loopback address: set MFCMT_API_KEYS, or MFCMT_ALLOW_UNAUTHENTICATED=true")
         return self
+
+    @property
+    def authenticated(self) -> bool:
+        """Whether clients must show a key."""
+        return bool(self.api_keys or self.api_keys_file)
 
     @property
     def on_loopback(self) -> bool:

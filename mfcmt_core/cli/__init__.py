@@ -19,6 +19,7 @@ COMMANDS = {
     "serve": ("service.cli.serve", "run the tracking service"),
     "health": ("service.cli.health", "ask a running service on this machine how it is: exit code 0 or 1"),
     "load": ("service.cli.load", "drive a service with real frames and measure it"),
+    "chaos": ("service.cli.chaos", "kill, stop and bloat a service under load and count what is lost"),
     "demo": ("service.cli.demo", "stream a clip through a service and show what comes back"),
 }
 

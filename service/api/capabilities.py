@@ -9,6 +9,7 @@ from fastapi import APIRouter
 from starlette.responses import Response
 
 from ..schemas.session import Limits, Preset
+from ..seal import READABLE
 from ..service import Service
 from . import contract
 from .answers import answer
@@ -37,7 +38,7 @@ def capabilities(service: Service) -> dict[str, Any]:
         "presets": list(get_args(Preset)),
         "image_types": IMAGE_TYPES,
         "trajectory_formats": ["json", "csv", "otb", "mot"],
-        "snapshot_versions": [1],
+        "snapshot_versions": list(READABLE),
         "limits": {name: getattr(service.settings, name) for name in Limits.model_fields},
         "software": {"mfcmt": version("mfcmt")} | lanes,
     }

@@ -10,7 +10,7 @@ from ..schemas import examples
 from .bodies import FORM, JSON, MSGPACK
 from .bodies import SNAPSHOT as SNAPSHOT_TYPE
 
-ANY_CALL = ("unauthenticated", "origin-refused", "rate-limited", "internal")
+ANY_CALL = ("unauthenticated", "origin-refused", "rate-limited", "internal", "at-capacity")
 WITH_BODY = ("bad-request", "body-too-large", "unsupported-media-type", "deadline-exceeded")
 ON_SESSION = ("session-not-found", "session-gone")
 IN_LANE = ("deadline-exceeded",)
@@ -129,7 +129,7 @@ CREATE_SESSION = _call(
     "bad-box",
     "bad-snapshot",
     "too-many-targets",
-    "at-capacity",
+    "over-quota",
     "draining",
     body={
         FORM: _CREATE_FORM,

@@ -7,6 +7,7 @@ from typing import Annotated
 from fastapi import Depends
 from starlette.requests import Request
 
+from ..keys import Identity
 from ..service import Service
 from ..sessions.session import Session
 from .answers import chosen_type
@@ -21,10 +22,17 @@ def _service(request: Request) -> Service:
 ServiceDep = Annotated[Service, Depends(_service)]
 
 
-def _caller(request: Request, service: ServiceDep) -> str:
-    owner = service.gate.owner(request.headers)
-    service.spend(owner)
-    return owner
+def _identity(request: Request, service: ServiceDep) -> Identity:
+    identity = service.gate.identify(request.headers)
+    service.meter.call(identity.owner)
+    return identity
+
+
+IdentityDep = Annotated[Identity, Depends(_identity)]
+
+
+def _caller(identity: IdentityDep) -> str:
+    return identity.owner
 
 
 def _accepted(request: Request) -> str:

@@ -30,6 +30,8 @@ async def readyz(service: ServiceDep) -> Response:
     health = _health(service)
     if health["status"] == "draining":
         raise ProblemError("draining", "the service is going away", retry_after_s=1.0, **_lanes(health))
+    if health["status"] == "failing":
+        raise ProblemError("at-capacity", "lanes die again and again", retry_after_s=1.0, **_lanes(health))
     if health["status"] == "starting":
         raise ProblemError("at-capacity", "no lane is ready yet", retry_after_s=1.0, **_lanes(health))
     return answer(JSON, 200, health)
@@ -46,7 +48,11 @@ async def metrics(request: Request, service: ServiceDep) -> Response:
 def _health(service: Service) -> dict[str, Any]:
     lanes = service.lanes.status()
     ready = sum(status.ready for status in lanes)
-    status = "draining" if service.book.draining else "ok" if ready else "starting"
+    status = "ok" if ready else "starting"
+    if any(lane.failing for lane in lanes):
+        status = "failing"
+    if service.book.draining:
+        status = "draining"
     return {"status": status, "lanes_ready": ready, "lanes": len(lanes)}
 
 

@@ -12,6 +12,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from ..connections import CROWDED
 from ..problems import CATALOGUE, ProblemError
 from ..service import Service
 from .answers import problem_response
@@ -74,6 +75,8 @@ class Surroundings:
 
         try:
             self._service.gate.check_origin(headers)
+            if scope["state"].get(CROWDED) and scope["path"] not in PROBES:
+                raise _crowded()
             if scope["method"] == "OPTIONS" and "access-control-request-method" in headers:
                 await _preflight(headers)(scope, receive, answer)
             else:
@@ -130,6 +133,12 @@ class Surroundings:
             await send(message)
 
         return answer
+
+
+def _crowded() -> ProblemError:
+    problem = ProblemError("at-capacity", "too many connections", retry_after_s=1.0)
+    problem.headers["Connection"] = "close"
+    return problem
 
 
 def _known(method: str) -> str:

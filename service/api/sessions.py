@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 from typing import Annotated
 
@@ -11,6 +12,7 @@ from starlette.responses import Response
 
 from ..problems import ProblemError
 from ..schemas.session import Options as OptionsModel
+from ..seal import BadSeal
 from ..service import Service
 from ..sessions.session import Options, Session
 from . import bodies, contract
@@ -28,11 +30,18 @@ async def create_session(request: Request, service: ServiceDep, caller: Caller, 
     key = request.headers.get("idempotency-key")
     if key is not None and not KEY.fullmatch(key):
         raise ProblemError("bad-request", "Idempotency-Key is 1 to 255 printable characters")
+    service.meter.frame(caller)
     if bodies.media_type(request) == bodies.SNAPSHOT:
         snapshot = await bodies.read(request, settings.max_snapshot_bytes, settings)
-        session = await service.book.restore(caller, snapshot, key)
+        service.meter.add_bytes(caller, len(snapshot))
+        try:
+            contents = await asyncio.to_thread(service.seal.open, caller, snapshot)
+        except BadSeal as bad:
+            raise ProblemError("bad-snapshot", str(bad)) from bad
+        session = await service.book.restore(caller, contents, key)
         return _made(request, service, session, accepted)
     upload = await bodies.read_upload(request, settings, raw=False)
+    service.meter.add_bytes(caller, len(upload.frame))
     told = upload.fields
     boxes = bodies.boxes(told)
     if len(boxes) > settings.max_targets_per_session:

@@ -9,6 +9,8 @@ import structlog
 from starlette.datastructures import Headers
 from starlette.types import Receive, Scope, Send
 
+from ..connections import ABORT_EXTENSION, CROWDED
+from ..keys import Identity
 from ..problems import ProblemError
 from ..service import Service
 from ..sessions.session import Session
@@ -24,11 +26,11 @@ CLOSE_CODES = {
     "attached-elsewhere": 4409,
     "session-gone": 4410,
     "rate-limited": 4429,
+    "over-quota": 4429,
     "at-capacity": 1013,
     "draining": 1013,
     "bad-request": 4400,
 }
-ABORT_EXTENSION = "mfcmt.abort"
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.stream")
 
@@ -45,7 +47,7 @@ class StreamEndpoint:
         await receive()  # websocket.connect
         codec, selected = _codec(scope["subprotocols"], self._service.settings.max_body_bytes)
         try:
-            session, mode = self._admit(scope, headers)
+            session, mode, identity = self._admit(scope, headers)
         except ProblemError as problem:
             await self._refuse(problem, codec, selected, scope, headers, receive, send)
             return
@@ -53,9 +55,11 @@ class StreamEndpoint:
         superseded = self._service.metrics.frames_dropped.labels(reason="superseded").inc
         attachment = StreamAttachment(
             session,
+            identity,
             codec,
             Flow(mode, settings.credit_frames, superseded),
             settings,
+            self._service.meter,
             self._service.metrics,
             receive,
             send,
@@ -73,13 +77,15 @@ class StreamEndpoint:
         await attachment.run(self._ready(session, mode, attachment.name, scope, headers))
         log.info("stream detached", seq=session.seq)
 
-    def _admit(self, scope: Scope, headers: Headers) -> tuple[Session, Mode]:
+    def _admit(self, scope: Scope, headers: Headers) -> tuple[Session, Mode, Identity]:
         """The session that may be attached to, whatever is attached now. Raises ProblemError."""
         service = self._service
         service.gate.check_origin(headers)
+        if scope["state"].get(CROWDED):
+            raise ProblemError("at-capacity", "too many connections", retry_after_s=1.0)
         sid = scope["path_params"]["session_id"]
-        owner = service.gate.redeem(scope["subprotocols"], sid) or service.gate.owner(headers)
-        service.spend(owner)
+        identity = service.gate.redeem(scope["subprotocols"], sid) or service.gate.identify(headers)
+        service.meter.call(identity.owner)
         if service.book.draining:
             raise ProblemError("draining", "the service is going away", retry_after_s=service.settings.drain_grace_s)
         query = parse_qs(scope["query_string"].decode("latin-1"))
@@ -89,11 +95,22 @@ class StreamEndpoint:
         takeover = query.get("takeover", ["false"])[-1]
         if takeover not in ("true", "false"):
             raise ProblemError("bad-request", "takeover is true or false")
-        session = service.book.find(owner, sid)
+        session = service.book.find(identity.owner, sid)
         standing = session.attachment
         if standing is not None and takeover == "false" and query.get("resume") != [standing.name]:
             raise ProblemError("attached-elsewhere", "a stream is attached")
-        return session, cast(Mode, mode)
+        if standing is None:
+            self._check_room(identity.owner)
+        return session, cast(Mode, mode), identity
+
+    def _check_room(self, owner: str) -> None:
+        """Raises over-quota, at-capacity for one stream too many."""
+        book, settings = self._service.book, self._service.settings
+        if book.streams_of(owner) >= settings.max_streams_per_key:
+            told = f"at most {settings.max_streams_per_key} streams of a key"
+            raise ProblemError("over-quota", told, retry_after_s=1.0)
+        if book.streams() >= settings.max_streams:
+            raise ProblemError("at-capacity", "no room for another stream", retry_after_s=1.0)
 
     def _ready(self, session: Session, mode: Mode, name: str, scope: Scope, headers: Headers) -> dict[str, Any]:
         settings = self._service.settings
@@ -106,6 +123,7 @@ class StreamEndpoint:
             "region_lag": settings.region_lag_frames,
             "next_seq": session.last_number + 1,
             "attachment": name,
+            "lost_after": session.lost_after,
         }
 
     async def _refuse(

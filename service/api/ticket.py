@@ -13,20 +13,20 @@ from ..schemas.session import TicketBody
 from ..service import instant
 from . import bodies, contract
 from .answers import answer
-from .deps import Accepted, Caller, ServiceDep, SessionDep
+from .deps import Accepted, IdentityDep, ServiceDep, SessionDep
 
 router = APIRouter(tags=["tickets"])
 
 
 @router.post("/sessions/{session_id}/ticket", status_code=201, **contract.TICKET)
 async def make_ticket(
-    request: Request, service: ServiceDep, caller: Caller, session: SessionDep, accepted: Accepted
+    request: Request, service: ServiceDep, identity: IdentityDep, session: SessionDep, accepted: Accepted
 ) -> Response:
     """A ticket for one handshake on this session's stream."""
     body = bodies.checked(TicketBody, await bodies.read_map(request, service.settings))
     ttl_s = service.settings.ticket_s if body.ttl_s is None else body.ttl_s
     if ttl_s > service.settings.max_ticket_s:
         raise ProblemError("bad-request", f"ttl_s: at most {service.settings.max_ticket_s:g}")
-    ticket = service.gate.issue(caller, session.id, ttl_s)
+    ticket = service.gate.issue(identity, session.id, ttl_s)
     expires_at = datetime.now(UTC) + timedelta(seconds=ttl_s)
     return answer(accepted, 201, {"ticket": ticket, "expires_at": instant(expires_at)})

@@ -37,9 +37,16 @@ def run(args: argparse.Namespace) -> int:
     from ..app import create_app
     from ..observability import logs
     from ..server import make_server
+    from ..sessions.vault import BadState
 
     logs.configure(settings.log_format, settings.log_level)
-    server = make_server(create_app(settings))
+    app = create_app(settings)
+    try:
+        app.state.service.book.keeper.open()
+    except BadState as bad:
+        print(f"mfcmt serve: {bad}", file=sys.stderr)
+        return 1
+    server = make_server(app)
     try:
         server.run()
     except SystemExit as failed:

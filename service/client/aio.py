@@ -15,7 +15,7 @@ from .attach import Attachment
 from .connection import Address, Protocol, problem_of
 from .errors import ConnectionLost, Problem
 from .stream import AsyncStream
-from .types import Frame, Mode, Region, Result, SessionInfo, TargetChange, Ticket
+from .types import Frame, Mode, Region, Result, Resumed, SessionInfo, TargetChange, Ticket
 
 T = TypeVar("T")
 MSGPACK = "application/msgpack"
@@ -227,6 +227,7 @@ class AsyncSession:
         mode: Mode = "latest",
         encode: Callable[[T, Region | None], bytes] | None = None,
         on_refused: Callable[[Problem], None] | None = None,
+        on_resumed: Callable[[Resumed], None] | None = None,
         takeover: bool = False,
         ticket: str | None = None,
         protocol: Protocol = "mfcmt.v1.msgpack",
@@ -237,12 +238,12 @@ class AsyncSession:
         ``latest`` drops frames that newer ones overtake; ``lossless`` answers every one and sends no faster
         than that. With ``encode(image, region)`` frames may be anything: it is called, in a thread, with
         each of them and the part that is needed (None: the whole) and returns that part as an image; it
-        pays where bandwidth or decoding is dear. A broken connection is resumed for ``reconnect_for_s``
-        seconds at most. See :class:`AsyncStream` for the rest.
+        pays where bandwidth or decoding is dear. A broken connection, also through a restart of the service,
+        is resumed for ``reconnect_for_s`` seconds at most. See :class:`AsyncStream` for the rest.
         """
         attachment = Attachment(self._client.address, self.id, mode, protocol, takeover, ticket, reconnect_for_s)
 
         async def missed(after: int) -> list[Result]:
             return await self.trajectory(after=after)
 
-        return self._client._attached(AsyncStream(attachment, frames, encode, on_refused, missed))
+        return self._client._attached(AsyncStream(attachment, frames, encode, on_refused, on_resumed, missed))

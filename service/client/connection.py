@@ -136,7 +136,7 @@ def _message(wire: Any) -> Message | None:
         case "ready":
             return Ready.of(wire)
         case "draining":
-            return Draining(wire["reconnect_in_s"])
+            return Draining(wire["reconnect_in_s"], wire.get("resumable", True))
         case _:  # of a newer server
             return None
 

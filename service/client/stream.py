@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import logging
+import time
 from collections import deque
 from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable, Iterable
 from contextlib import suppress
@@ -13,9 +15,11 @@ from .attach import Attachment
 from .connection import Connection
 from .errors import ClientError, ConnectionLost, Problem
 from .sources import each
-from .types import Draining, Frame, Ready, Region, Result, Targets
+from .types import Draining, Frame, Ready, Region, Result, Resumed, Targets
 
 T = TypeVar("T")
+
+log = logging.getLogger("mfcmt.client")
 
 # Results that may wait unread before no more frames are sent.
 MAX_UNREAD = 64
@@ -29,7 +33,8 @@ class AsyncStream(Generic[T]):
 
     Iterating starts it and ends with the last frame's answer. ``async with`` also closes it when the loop is
     left early. A frame that was refused is raised out of the iteration as a :class:`Problem`, unless
-    ``on_refused`` takes it; the stream goes on either way.
+    ``on_refused`` takes it; the stream goes on either way. When it goes on after a break of its connection or
+    a restart of the service, ``on_resumed`` is told; without it, a loss is logged as a warning.
     """
 
     def __init__(
@@ -38,6 +43,7 @@ class AsyncStream(Generic[T]):
         frames: AsyncIterable[T] | Iterable[T] | None,
         encode: Callable[[T, Region | None], bytes] | None,
         on_refused: Callable[[Problem], None] | None,
+        on_resumed: Callable[[Resumed], None] | None,
         missed: Callable[[int], Awaitable[list[Result]]],
     ) -> None:
         self._attachment = attachment
@@ -45,6 +51,7 @@ class AsyncStream(Generic[T]):
         self._frames = frames
         self._encode = encode
         self._on_refused = on_refused
+        self._on_resumed = on_resumed or _log_loss
         self._missed = missed
         self._connection: Connection | None = None
         self._ready: Ready | None = None
@@ -157,6 +164,7 @@ class AsyncStream(Generic[T]):
 
     async def _resume(self) -> Connection:
         """A new connection on which the stream goes on; raises what forbids it."""
+        broken = time.monotonic()
         while True:
             pause_s, self._pause_s = self._pause_s, 0.0
             connection, ready = await self._attachment.reopen(self.ready, pause_s)
@@ -166,6 +174,8 @@ class AsyncStream(Generic[T]):
             except ConnectionLost:
                 await connection.close()
             else:
+                lost_after = ready.lost_after if (ready.lost_after or 0) < self._last_seq else None
+                self._on_resumed(Resumed(ready.session.seq, time.monotonic() - broken, lost_after))
                 return connection
 
     async def _take_up(self, connection: Connection, ready: Ready) -> None:
@@ -326,3 +336,8 @@ class AsyncStream(Generic[T]):
         self._fall(ConnectionLost("the stream has ended"))
         self._up.set()
         self._room.set()
+
+
+def _log_loss(resumed: Resumed) -> None:
+    if resumed.lost_after is not None:
+        log.warning("the service broke down: what it learned after frame %d is lost", resumed.lost_after)

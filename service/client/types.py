@@ -197,7 +197,8 @@ class Ready:
 
     ``credit`` is how many frames may wait for their answer, None in ``latest``. ``next_seq`` is the number
     that the next frame takes; ``attachment`` lets its owner, and nobody else, end this attachment when it is
-    left behind dead.
+    left behind dead. ``lost_after``, after a breakdown of the service, is the last frame that the session
+    knows: what it learned from later ones is lost.
     """
 
     session: SessionInfo
@@ -206,6 +207,7 @@ class Ready:
     region_lag: int
     next_seq: int
     attachment: str | None
+    lost_after: int | None = None
 
     @classmethod
     def of(cls, wire: Wire) -> Ready:
@@ -217,6 +219,7 @@ class Ready:
             wire.get("region_lag", 1),
             wire.get("next_seq", session.seq + 1),
             wire.get("attachment"),
+            wire.get("lost_after"),
         )
 
 
@@ -235,9 +238,24 @@ class Targets:
 
 @dataclass(frozen=True, slots=True)
 class Draining:
-    """The server is going away; the session can be resumed."""
+    """The server is going away; the session goes on in the next one if it is ``resumable``."""
 
     reconnect_in_s: float
+    resumable: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Resumed:
+    """A stream goes on after its connection broke.
+
+    ``seq`` is the last frame that the session knows, ``down_s`` how long the stream was interrupted.
+    ``lost_after`` is None when nothing is lost. Else the service broke down: the results with a higher ``seq``
+    that the stream has given stand, but the trackers have forgotten what they learned from those frames.
+    """
+
+    seq: int
+    down_s: float
+    lost_after: int | None
 
 
 def _instant(text: str) -> datetime:

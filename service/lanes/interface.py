@@ -14,11 +14,15 @@ class AtCapacity(Exception):
 
 
 class LaneLost(Exception):
-    """The lane of the key has died, or the key was released, before the call was answered."""
+    """A call was not answered, and what the lane held for its key is gone.
 
+    ``cause``: the lane ``died``, ``hung`` past the deadline or outgrew its ``memory``; the key was
+    ``released``, or has no lane now (``absent``). ``in_work``: the lane was at this very call.
+    """
 
-class LaneHung(LaneLost):
-    """The same, because this very call took longer than the deadline."""
+    def __init__(self, cause: str, *, in_work: bool = False) -> None:
+        super().__init__(cause)
+        self.cause, self.in_work = cause, in_work
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,9 +36,10 @@ class KeysLost:
 
 @dataclass(frozen=True, slots=True)
 class LaneReady:
-    """An event: a lane has started and takes keys."""
+    """An event: a lane has started and takes keys; ``confined`` is what it has given up (see ``confine``)."""
 
     lane: int
+    confined: tuple[str, ...] = ()
 
 
 LaneEvent = KeysLost | LaneReady
@@ -42,10 +47,11 @@ LaneEvent = KeysLost | LaneReady
 
 @dataclass(frozen=True, slots=True)
 class LaneStatus:
-    """A lane as the front sees it at any moment."""
+    """A lane as the front sees it at any moment; ``failing``: it dies again and again."""
 
     lane: int
     ready: bool
+    failing: bool
     keys: int
     versions: dict[str, str]
 
@@ -71,10 +77,19 @@ class Lanes(Protocol):
     def reserve(self, key: str) -> None:
         """Give ``key`` a place in the lane with the most room, now or never. Raises AtCapacity."""
 
-    async def call(self, key: str, request: Buffers) -> bytes:
+    async def regain(self, key: str) -> str:
+        """Give ``key``, whose lane was lost, a place again, when there is one. Raises LaneLost if it is released.
+
+        What became of its lane, as in LaneLost; ``restart`` if it never had one here, nothing if it has.
+        """
+
+    def holds(self, key: str) -> bool:
+        """Whether ``key`` has a place in a lane."""
+
+    async def call(self, key: str, request: Buffers) -> bytes | memoryview:
         """One operation in the key's lane: a MessagePack value there and one back, in the order of calls.
 
-        Raises LaneLost, LaneHung. Calls of different keys of a lane share its time fairly.
+        Raises LaneLost. Calls of different keys of a lane share its time fairly.
         """
 
     def release(self, key: str) -> None:

@@ -1,4 +1,4 @@
-"""The lanes of this machine: placement, replacement of what dies, and the watch over what hangs."""
+"""The lanes of this machine: placement, replacement of what dies, the watch over what hangs or grows."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import asyncio
 import atexit
 import contextlib
 import multiprocessing
-from collections.abc import AsyncIterator, Mapping
+import os
+from collections.abc import AsyncIterator, Iterator, Mapping
 from multiprocessing import forkserver
 from typing import Any
 
@@ -34,14 +35,19 @@ class LanePool:
         *,
         deadline_s: float,
         start_timeout_s: float,
+        max_rss_bytes: int,
     ) -> None:
         self._keys_per_lane = keys_per_lane
         self._config = config
         self._deadline_s = deadline_s
         self._start_timeout_s = start_timeout_s
+        self._max_rss_bytes = max_rss_bytes
         self._lanes: list[LaneProcess] = [self._new(number) for number in range(count)]
         self._crashes = [0] * count
         self._homes: dict[str, LaneProcess] = {}
+        # Keys without a lane: the number of the lane where a place is kept for them, and what became of theirs.
+        self._displaced: dict[str, tuple[int, str]] = {}
+        self._changed = asyncio.Event()
         self._events: asyncio.Queue[LaneEvent] = asyncio.Queue()
         self._tasks: set[asyncio.Task[None]] = set()
         self._context = multiprocessing.get_context("forkserver")
@@ -51,7 +57,8 @@ class LanePool:
         """Begin to start all lanes."""
         self._context.set_forkserver_preload(["service.lanes.forkserver"])
         # Here, because the fork server dies with the thread that starts it (see orphans).
-        forkserver.ensure_running()
+        with _without_secrets():
+            forkserver.ensure_running()
         # Without this an interpreter that ends without stop() would wait for its workers for ever.
         atexit.register(self._kill_all)
         for lane in self._lanes:
@@ -69,25 +76,54 @@ class LanePool:
 
     def reserve(self, key: str) -> None:
         """Give ``key`` a place in the emptiest lane. Raises AtCapacity."""
-        open_lanes = [lane for lane in self._lanes if lane.ready and len(lane.keys) < self._keys_per_lane]
-        if not open_lanes:
+        lane = self._roomiest()
+        if lane is None:
             raise AtCapacity
-        lane = min(open_lanes, key=lambda lane: len(lane.keys))
-        lane.keys.add(key)
-        self._homes[key] = lane
+        self._settle(key, lane)
 
-    async def call(self, key: str, request: Buffers) -> bytes:
-        """One operation in the key's lane. Raises LaneLost, LaneHung."""
+    async def regain(self, key: str) -> str:
+        """A place again for a key whose lane was lost, or that comes from another process; why. Raises LaneLost.
+
+        The place is kept in the lane that takes the lost one's place, so that load stays spread; only if
+        that one keeps dying, any other will do.
+        """
+        if key in self._homes:
+            return ""
+        load = self._load()
+        self._displaced.setdefault(key, (min(range(len(self._lanes)), key=load.__getitem__), "restart"))
+        while True:
+            number, cause = self._displaced[key]
+            lane: LaneProcess | None = self._lanes[number]
+            if not (lane and lane.ready and len(lane.keys) < self._keys_per_lane):
+                full = self._load()[number] > self._keys_per_lane
+                lane = self._roomiest() if full or self._failing(number) else None
+            if lane is not None:
+                del self._displaced[key]
+                self._settle(key, lane)
+                return cause
+            self._changed.clear()
+            await self._changed.wait()
+            if key not in self._displaced:
+                raise LaneLost("released")
+
+    def holds(self, key: str) -> bool:
+        """Whether ``key`` has a place in a lane."""
+        return key in self._homes
+
+    async def call(self, key: str, request: Buffers) -> bytes | memoryview:
+        """One operation in the key's lane. Raises LaneLost."""
         lane = self._homes.get(key)
         if lane is None:
-            raise LaneLost
+            raise LaneLost("absent")
         return await lane.call(key, request)
 
     def release(self, key: str) -> None:
         """Free the key's place."""
         lane = self._homes.pop(key, None)
+        self._displaced.pop(key, None)
         if lane is not None:
             lane.forget(key)
+        self._changed.set()
 
     async def events(self) -> AsyncIterator[LaneEvent]:
         """What happens to lanes; for one reader."""
@@ -96,11 +132,36 @@ class LanePool:
 
     def status(self) -> list[LaneStatus]:
         """Every lane."""
-        return [LaneStatus(lane.number, lane.ready, len(lane.keys), lane.versions) for lane in self._lanes]
+        return [
+            LaneStatus(lane.number, lane.ready, self._failing(lane.number), len(lane.keys), lane.versions)
+            for lane in self._lanes
+        ]
 
     def usage(self) -> list[LaneUsage]:
         """What every lane uses."""
         return [LaneUsage(lane.number, rss_bytes(lane.pid), cpu_s(lane.pid)) for lane in self._lanes]
+
+    def _load(self) -> list[int]:
+        """Keys of each lane, those that wait for it among them."""
+        load = [len(lane.keys) for lane in self._lanes]
+        for number, _ in self._displaced.values():
+            load[number] += 1
+        return load
+
+    def _roomiest(self) -> LaneProcess | None:
+        """The emptiest of the lanes that are ready and have room."""
+        load = self._load()
+        ready = [lane for lane in self._lanes if lane.ready and load[lane.number] < self._keys_per_lane]
+        return min(ready, key=lambda lane: load[lane.number], default=None)
+
+    def _settle(self, key: str, lane: LaneProcess) -> None:
+        lane.keys.add(key)
+        self._homes[key] = lane
+
+    def _failing(self, number: int) -> bool:
+        """Whether the lane of this number has died again and again, and the newest has not proved itself."""
+        lane = self._lanes[number]
+        return self._crashes[number] > PATIENCE and not (lane.ready and lane.lasted_s() > STEADY_S)
 
     def _new(self, number: int) -> LaneProcess:
         return LaneProcess(number, on_ready=self._ready, on_lost=self._lost)
@@ -119,7 +180,8 @@ class LanePool:
             self._lost(lane, "start")
 
     def _ready(self, lane: LaneProcess) -> None:
-        self._events.put_nowait(LaneReady(lane.number))
+        self._events.put_nowait(LaneReady(lane.number, lane.confined))
+        self._changed.set()
 
     def _lost(self, lane: LaneProcess, cause: str) -> None:
         if self._stopping:
@@ -127,6 +189,7 @@ class LanePool:
         lane.kill()  # a worker whose socket is gone may still be computing
         for key in lane.keys:
             del self._homes[key]
+            self._displaced[key] = lane.number, cause
         self._events.put_nowait(KeysLost(lane.number, cause, tuple(lane.keys)))
         steady = bool(lane.versions) and lane.lasted_s() > STEADY_S
         self._crashes[lane.number] = 0 if steady else self._crashes[lane.number] + 1
@@ -134,13 +197,16 @@ class LanePool:
         wait_s = min(FIRST_WAIT_S * 2 ** (crashes - PATIENCE), LONGEST_WAIT_S) if crashes > PATIENCE else 0.0
         self._lanes[lane.number] = self._new(lane.number)
         self._spawn(self._begin(self._lanes[lane.number], wait_s))
+        self._changed.set()
 
     async def _watch(self) -> None:
         while True:
             await asyncio.sleep(WATCH_EVERY_S)
             for lane in self._lanes:
                 if lane.overdue_s() > self._deadline_s:
-                    lane.kill(hung=True)
+                    lane.kill("hung")
+                elif rss_bytes(lane.pid) > self._max_rss_bytes:
+                    lane.kill("memory")
                 elif lane.pid and not lane.ready and lane.lasted_s() > self._start_timeout_s:
                     lane.kill()
 
@@ -148,3 +214,13 @@ class LanePool:
         for lane in self._lanes:
             with contextlib.suppress(OSError):
                 lane.kill()
+
+
+@contextlib.contextmanager
+def _without_secrets() -> Iterator[None]:
+    """The fork server and its lanes inherit no settings, and so no keys."""
+    kept = {name: os.environ.pop(name) for name in list(os.environ) if name.startswith("MFCMT_")}
+    try:
+        yield
+    finally:
+        os.environ.update(kept)

@@ -15,7 +15,7 @@ import msgpack
 
 from . import worker
 from .fair import FairQueue
-from .interface import Buffers, LaneHung, LaneLost
+from .interface import Buffers, LaneLost
 from .wire import HELLO, NO_REPLY, Disorder, Splitter, encode_call, framed
 
 # While the lane works on one call the next is already in its socket, so that it never waits for the front.
@@ -28,7 +28,7 @@ class Call:
 
     key: str
     request: Buffers
-    answer: asyncio.Future[bytes]
+    answer: asyncio.Future[bytes | memoryview]
 
 
 class LaneProcess(asyncio.Protocol):
@@ -46,13 +46,14 @@ class LaneProcess(asyncio.Protocol):
         self.ready = False
         self.lost = False
         self.versions: dict[str, str] = {}
+        self.confined: tuple[str, ...] = ()
         self.since = time.monotonic()
         self._on_ready = on_ready
         self._on_lost = on_lost
         self._queue: FairQueue[Call] = FairQueue()
         self._in_flight: deque[tuple[int, Call]] = deque()
         self._working_since = 0.0
-        self._hung = False
+        self._cause = "died"
         self._calls = 0
         self._splitter = Splitter()
         self._transport: asyncio.WriteTransport | None = None
@@ -80,11 +81,11 @@ class LaneProcess(asyncio.Protocol):
         """The worker's process id."""
         return self._process.pid if self._process else None
 
-    def call(self, key: str, request: Buffers) -> asyncio.Future[bytes]:
+    def call(self, key: str, request: Buffers) -> asyncio.Future[bytes | memoryview]:
         """Queue one operation; the future is its reply or LaneLost."""
-        answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
+        answer: asyncio.Future[bytes | memoryview] = asyncio.get_running_loop().create_future()
         if self.lost:
-            answer.set_exception(LaneLost())
+            answer.set_exception(LaneLost(self._cause))
         else:
             self._queue.push(key, Call(key, request, answer))
             self._dispatch()
@@ -94,7 +95,7 @@ class LaneProcess(asyncio.Protocol):
         """Drop what the lane holds for ``key``, behind the operation that is in work."""
         self.keys.discard(key)
         for call in self._queue.forget(key):
-            _fail(call, LaneLost())
+            _fail(call, LaneLost("released"))
         if self._transport is not None and not self.lost:
             self._transport.writelines(framed(NO_REPLY, encode_call("drop", key, {})))
 
@@ -102,9 +103,10 @@ class LaneProcess(asyncio.Protocol):
         """Seconds since the operation in work began; 0 when there is none."""
         return time.monotonic() - self._working_since if self._in_flight else 0.0
 
-    def kill(self, *, hung: bool = False) -> None:
-        """End the worker at once."""
-        self._hung = hung
+    def kill(self, cause: str = "died") -> None:
+        """End the worker at once; the first ``cause`` is the one that is told."""
+        if self._cause == "died":
+            self._cause = cause
         if self._process is not None and self._process.pid is not None:
             self._process.kill()
 
@@ -137,24 +139,24 @@ class LaneProcess(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002
         """The worker has died or was told to stop: every call fails, at once."""
         self.lost, self.ready = True, False
-        cause = "hung" if self._hung else "died"
         calls = [call for _, call in self._in_flight]
-        if self._hung and calls:
-            _fail(calls.pop(0), LaneHung())
+        if calls:
+            _fail(calls.pop(0), LaneLost(self._cause, in_work=True))
         for key in list(self.keys):
             calls += self._queue.forget(key)
         for call in calls:
-            _fail(call, LaneLost())
+            _fail(call, LaneLost(self._cause))
         self._in_flight.clear()
-        self._on_lost(self, cause)
+        self._on_lost(self, self._cause)
 
-    def _hello(self, payload: bytes) -> None:
-        self.versions = msgpack.unpackb(payload)
+    def _hello(self, payload: bytes | memoryview) -> None:
+        hello = msgpack.unpackb(payload)
+        self.versions, self.confined = hello["versions"], tuple(hello["confined"])
         self.ready = True
         self.since = time.monotonic()
         self._on_ready(self)
 
-    def _reply(self, number: int, payload: bytes) -> None:
+    def _reply(self, number: int, payload: bytes | memoryview) -> None:
         if not self._in_flight or self._in_flight[0][0] != number:
             raise Disorder("a reply out of order")
         _, call = self._in_flight.popleft()

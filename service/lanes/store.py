@@ -12,8 +12,8 @@ from mfcmt_core import BadSnapshot
 from mfcmt_core import __version__ as core_version
 
 from ..frames import FrameLimits
+from . import contents
 from .hosted import HostedSession, Options
-from .seal import BadSeal, Seal
 from .view import Refused
 
 
@@ -34,7 +34,6 @@ class Store:
         self._limits = FrameLimits(**config["frame_limits"])
         self._max_targets: int = config["max_targets"]
         self._region_lag: int = config["region_lag"]
-        self._seal = Seal(config["signing_keys"])
         self._sessions: dict[str, HostedSession] = {}
 
     def handle(self, op: str, key: str, args: dict[str, Any], data: bytes) -> Any:
@@ -50,28 +49,38 @@ class Store:
                 state = session.begin(data, args["boxes"])
                 self._sessions[key] = session
                 return state
+            case "checkpoint":
+                return contents.pack(self._sessions[key].to_dict())
+            case "revive":
+                return self._revive(key, data)
             case "snapshot":
-                contents = self._sessions[key].to_dict() | {"front": args["front"]}
-                return self._seal.close(args["owner"], contents)
+                return contents.pack(self._sessions[key].to_dict() | {"front": args["front"]})
             case "restore":
-                return self._restore(key, args["owner"], data)
+                return self._restore(key, data)
             case "drop":
                 self._sessions.pop(key, None)
                 return None
             case _:
                 raise ValueError(op)
 
-    def _restore(self, key: str, owner: str, data: bytes) -> dict[str, Any]:
+    def _revive(self, key: str, data: bytes) -> dict[str, Any]:
         try:
-            contents = self._seal.open(owner, data)
-            session = HostedSession.from_dict(self._options(contents["options"]), contents)
-            state = session.state() | {"front": contents["front"], "options": contents["options"]}
-        except BadSeal as bad:
-            raise Refused("bad-snapshot", str(bad)) from bad
-        except (BadSnapshot, ValueError, TypeError, KeyError, IndexError) as bad:
+            return self._resumed(key, contents.unpack(data)).state()
+        except (ValueError, TypeError, KeyError, IndexError) as bad:
+            raise Refused("bad-snapshot", "the checkpoint cannot be read") from bad
+
+    def _restore(self, key: str, data: bytes) -> dict[str, Any]:
+        try:
+            told = contents.unpack(data)
+            contents.check(told, self._limits, self._max_targets)
+            state = self._resumed(key, told).state()
+        except (BadSnapshot, ValueError) as bad:
             raise Refused("bad-snapshot", "its contents do not fit together") from bad
-        self._sessions[key] = session
-        return state
+        return state | {"front": told["front"], "options": told["options"]}
+
+    def _resumed(self, key: str, told: dict[str, Any]) -> HostedSession:
+        session = self._sessions[key] = HostedSession.from_dict(self._options(told["options"]), told)
+        return session
 
     def _options(self, chosen: dict[str, Any]) -> Options:
         return Options(self._limits, self._max_targets, self._region_lag, **chosen)

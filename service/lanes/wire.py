@@ -19,6 +19,8 @@ HEAD = struct.Struct(">II")
 BIN32 = struct.Struct(">BI")
 MAX_MESSAGE_BYTES = 1 << 30
 HELLO, NO_REPLY = 0, 0
+LONG_BYTES = 1 << 16
+LONG_VALUE = b"\x92\xc0\xc6"  # [nil, bin 32]
 
 
 class Disorder(Exception):
@@ -43,8 +45,10 @@ def encode_reply(code: str | None, value: Any) -> bytes:
     return packed
 
 
-def decode_reply(payload: bytes) -> tuple[str | None, Any]:
-    """``code, value`` of a reply."""
+def decode_reply(payload: bytes | memoryview) -> tuple[str | None, Any]:
+    """``code, value`` of a reply; a long binary value is a view of it, not a copy."""
+    if payload[:3] == LONG_VALUE:
+        return None, memoryview(payload)[len(LONG_VALUE) + 4 :]
     try:
         code, value = msgpack.unpackb(payload, strict_map_key=False)
     except ValueError as broken:
@@ -63,7 +67,7 @@ class Splitter:
     def __init__(self) -> None:
         self._rest = bytearray()
 
-    def feed(self, data: bytes) -> Iterator[tuple[int, bytes]]:
+    def feed(self, data: bytes) -> Iterator[tuple[int, bytes | memoryview]]:
         """``call, payload`` of every message that ``data`` completes. Raises Disorder."""
         self._rest += data
         at = 0
@@ -74,6 +78,11 @@ class Splitter:
             end = at + HEAD.size + length
             if len(self._rest) < end:
                 break
+            if length >= LONG_BYTES and end == len(self._rest):
+                # Megabytes are handed on as they are: a copy would hold up the loop.
+                whole, self._rest = self._rest, bytearray()
+                yield call, memoryview(whole)[at + HEAD.size :]
+                return
             payload = bytes(memoryview(self._rest)[at + HEAD.size : end])
             at = end
             yield call, payload

@@ -19,13 +19,15 @@ from .wire import HELLO, NO_REPLY, BlockingWire, decode_call, encode_reply
 def main(sock: socket.socket, config: dict[str, Any]) -> None:
     """Serve ``sock`` until it ends."""
     die_with_parent()  # the fork server, which dies with the front, even if this computes for ever
+    from .confine import confine
     from .store import Store, versions
     from .view import Refused
 
     wire = BlockingWire(sock)
     store = Store(config)
+    hello = {"versions": versions(), "confined": confine()}
     with contextlib.suppress(EOFError, ConnectionError):
-        wire.send(HELLO, msgpack.packb(versions()))
+        wire.send(HELLO, msgpack.packb(hello))
         while True:
             call, payload = wire.receive()
             try:

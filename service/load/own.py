@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Self
 
@@ -26,11 +27,14 @@ class ServerFailed(Exception):
 class OwnServer:
     """``mfcmt serve`` with ``settings`` (fields of :class:`service.settings.Settings`), ready when entered.
 
-    What the caller's environment sets as ``MFCMT_*`` does not reach it.
+    What the caller's environment sets as ``MFCMT_*`` does not reach it; ``environment`` is added to it.
     """
 
-    def __init__(self, *, start_s: float = START_S, **settings: object) -> None:
+    def __init__(
+        self, *, start_s: float = START_S, environment: Mapping[str, str] | None = None, **settings: object
+    ) -> None:
         self._start_s = start_s
+        self._environment = environment or {}
         self._settings = settings
         self._process: subprocess.Popen[bytes] | None = None
         self._log = Path(tempfile.mkstemp(prefix="mfcmt-serve-", suffix=".log")[1])
@@ -70,6 +74,7 @@ class OwnServer:
         self.port = self.port or free_port()
         settings = {"log_format": "json", "host": "127.0.0.1"} | self._settings | {"port": self.port}
         environment = {name: value for name, value in os.environ.items() if not name.startswith("MFCMT_")}
+        environment |= self._environment
         environment |= {f"MFCMT_{name.upper()}": str(value) for name, value in settings.items()}
         with self._log.open("ab") as log:
             self._process = subprocess.Popen(  # noqa: S603

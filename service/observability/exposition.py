@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator
 from importlib.metadata import version
 from itertools import chain
+from typing import Protocol
 
 from prometheus_client import CollectorRegistry, PlatformCollector, ProcessCollector
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
@@ -21,11 +22,20 @@ HEAD = re.compile(rb"\A(#[^\n]*\n)+")
 SAMPLES_AT_ONCE = 32
 
 
+class Kept(Protocol):
+    """Bytes that are kept to restore sessions."""
+
+    limit: int
+    checkpoints: int
+    frames: int
+
+
 class Exposition:
     """What the service counts, and what it and its processes are just now."""
 
-    def __init__(self, metrics: Metrics, sessions: Callable[[], int], capacity: int, lanes: Lanes) -> None:
+    def __init__(self, metrics: Metrics, sessions: Callable[[], int], capacity: int, lanes: Lanes, kept: Kept) -> None:
         self._metrics, self._sessions, self._capacity, self._lanes = metrics, sessions, capacity, lanes
+        self._kept = kept
         self._process = CollectorRegistry()
         ProcessCollector(registry=self._process)
         PlatformCollector(registry=self._process)
@@ -58,14 +68,21 @@ class Exposition:
         cpu = CounterMetricFamily("mfcmt_lane_cpu_seconds", "CPU time of a lane's process", labels=["lane"])
         keys = GaugeMetricFamily("mfcmt_lane_sessions", "Sessions in a lane", labels=["lane"])
         ready = GaugeMetricFamily("mfcmt_lane_ready", "1 when a lane takes sessions", labels=["lane"])
+        failing = GaugeMetricFamily("mfcmt_lane_failing", "1 when a lane dies again and again", labels=["lane"])
         statuses = self._lanes.status()
         for status in statuses:
             keys.add_metric([str(status.lane)], status.keys)
             ready.add_metric([str(status.lane)], float(status.ready))
+            failing.add_metric([str(status.lane)], float(status.failing))
         for used in usage:
             rss.add_metric([str(used.lane)], used.rss_bytes)
             cpu.add_metric([str(used.lane)], used.cpu_s)
-        yield from (rss, cpu, keys, ready)
+        yield from (rss, cpu, keys, ready, failing)
+        kept = GaugeMetricFamily("mfcmt_recovery_bytes", "Kept to restore sessions", labels=["what"])
+        kept.add_metric(["checkpoints"], self._kept.checkpoints)
+        kept.add_metric(["frames"], self._kept.frames)
+        yield kept
+        yield GaugeMetricFamily("mfcmt_recovery_bytes_limit", "Most that is kept to restore sessions", self._kept.limit)
         told = next((status.versions for status in statuses if status.versions), {})
         names = ["version", "opencv", "numpy"]
         build = GaugeMetricFamily("mfcmt_build_info", "Versions; always 1", labels=names)

@@ -15,13 +15,18 @@ if TYPE_CHECKING:
 
     from .tracing import Tracing
 
+
 SECONDS = (0.0005, 0.001, 0.002, 0.003, 0.005, 0.0075, 0.01, 0.02, 0.03, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5)
+SIZES = tuple(2**n for n in range(16, 27))
 # What the front does itself takes tens of microseconds, until something is wrong.
 SHORT_SECONDS = (0.00005, 0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.05, 0.25, 1.0)
 PRESETS = ("default", "paper")
 ENDS = ("closed", "idle", "expired", "lost")
 DROPS = ("superseded", "frame-too-large", "unsupported-image", "frame-undecodable", "frame-size-changed", "bad-region")
-CLOSES = ("1000", "1011", "1012", "4400", "4408", "4409", "4410", "4429")
+CAUSES = ("died", "hung", "memory", "start")
+WHYS = ("frames", "bytes", "budget", "stop")
+RETURNS = ("died", "hung", "memory", "restart", "fault")
+CLOSES = ("1000", "1011", "1012", "4400", "4401", "4408", "4409", "4410", "4429")
 
 
 class Metrics:
@@ -42,10 +47,15 @@ class Metrics:
         def seconds(name: str, text: str, buckets: tuple[float, ...] = SECONDS) -> Histogram:
             return Histogram(name, text, buckets=buckets, registry=self.registry)
 
+        def sizes(name: str, text: str) -> Histogram:
+            return Histogram(name, text, buckets=SIZES, registry=self.registry)
+
         self.sessions_created = counter("mfcmt_sessions_created_total", "Sessions made or restored", preset=PRESETS)
         self.sessions_closed = counter("mfcmt_sessions_closed_total", "Sessions ended", reason=ENDS)
         self.refused_sessions = counter(
-            "mfcmt_admission_rejected_total", "Sessions refused for want of a place", reason=("at-capacity", "draining")
+            "mfcmt_admission_rejected_total",
+            "Sessions refused for want of a place",
+            reason=("at-capacity", "draining", "over-quota"),
         )
         self.frames_received = counter(
             "mfcmt_frames_received_total", "Frame messages and calls", via=("stream", "http")
@@ -56,7 +66,7 @@ class Metrics:
         self.requests = counter("mfcmt_http_requests_total", "HTTP calls answered", method=(), path=(), status=())
         self.streams = Gauge("mfcmt_ws_connections", "Attached streams", registry=self.registry)
         self.stream_closes = counter("mfcmt_ws_closes_total", "Streams closed by the service", code=CLOSES)
-        self.lane_restarts = counter("mfcmt_lane_restarts_total", "Lanes replaced", cause=("died", "hung", "start"))
+        self.lane_restarts = counter("mfcmt_lane_restarts_total", "Lanes replaced", cause=CAUSES)
         self.receive_seconds = seconds(
             "mfcmt_frame_receive_seconds", "From a frame's arrival to the queue: parsed and checked", SHORT_SECONDS
         )
@@ -70,12 +80,15 @@ class Metrics:
         self.total_seconds = seconds("mfcmt_frame_total_seconds", "From a frame's arrival to its result")
         self.request_seconds = seconds("mfcmt_http_request_seconds", "HTTP calls, from head to last byte")
         self.loop_lag_seconds = seconds("mfcmt_event_loop_lag_seconds", "How late a timer of the event loop fires")
-        self.snapshot_bytes = Histogram(
-            "mfcmt_snapshot_bytes",
-            "Size of snapshots handed out",
-            buckets=[2**n for n in range(16, 27)],
-            registry=self.registry,
-        )
+        self.snapshot_bytes = sizes("mfcmt_snapshot_bytes", "Size of snapshots handed out")
+        self.checkpoint_bytes = sizes("mfcmt_checkpoint_bytes", "Size of checkpoints")
+        self.checkpoints = counter("mfcmt_checkpoints_total", "Checkpoints of sessions", reason=WHYS)
+        self.checkpoint_seconds = seconds("mfcmt_checkpoint_seconds", "From the wish for a checkpoint to its bytes")
+        self.recoveries = counter("mfcmt_recoveries_total", "Sessions restored in a lane", cause=RETURNS)
+        self.recovery_seconds = seconds("mfcmt_recovery_seconds", "From a session's loss of its lane to its return")
+        self.replayed = counter("mfcmt_replayed_operations_total", "Frames and controls made again in a fresh lane")
+        self.state_write_seconds = seconds("mfcmt_state_write_seconds", "Writes to the state directory")
+        self.state_write_failures = counter("mfcmt_state_write_failures_total", "Writes that failed, to be tried again")
 
         self._by_stream = self.frames_received.labels(via="stream")
         self._by_http = self.frames_received.labels(via="http")
@@ -95,6 +108,18 @@ class Metrics:
         self.problems.labels(code=code).inc()
         if frame:
             self.frames_dropped.labels(reason=code).inc()
+
+    def checkpoint(self, reason: str, size: int, seconds: float) -> None:
+        """A session's state was kept."""
+        self.checkpoints.labels(reason=reason).inc()
+        self.checkpoint_bytes.observe(size)
+        self.checkpoint_seconds.observe(seconds)
+
+    def recovered(self, cause: str, operations: int, seconds: float) -> None:
+        """A session's state was brought back."""
+        self.recoveries.labels(cause=cause).inc()
+        self.replayed.inc(operations)
+        self.recovery_seconds.observe(seconds)
 
     def frame(
         self, stages: Stages, session: str, seq: int, within: Span | None, *, live: bool, sent_s: float = 0.0

@@ -74,7 +74,7 @@ CAPABILITIES = {
     "presets": ["default", "paper"],
     "image_types": ["image/jpeg", "image/png", "image/webp"],
     "trajectory_formats": ["json", "csv", "otb", "mot"],
-    "snapshot_versions": [1],
+    "snapshot_versions": [1, 2],
     "limits": {
         "max_frame_bytes": 8388608,
         "max_frame_pixels": 8300000,
@@ -84,6 +84,8 @@ CAPABILITIES = {
         "max_body_bytes": 65536,
         "max_snapshot_bytes": 67108864,
         "max_targets_per_session": 16,
+        "max_sessions_per_key": 1024,
+        "max_streams_per_key": 1024,
         "max_trajectory_bytes": 8388608,
         "idle_timeout_s": 300.0,
         "max_idle_timeout_s": 3600.0,
@@ -94,6 +96,8 @@ CAPABILITIES = {
         "region_lag_frames": 1,
         "max_messages_per_s": 2000.0,
         "max_requests_per_s": 1000.0,
+        "max_frames_per_s_per_key": 5000.0,
+        "max_frame_bytes_per_s_per_key": 268435456.0,
         "ticket_s": 30.0,
         "max_ticket_s": 300.0,
     },
@@ -108,9 +112,10 @@ READY = {
     "region_lag": 1,
     "next_seq": 1,
     "attachment": "Zk3v0c8VYw1q",
+    "lost_after": None,
 }
 TARGETS = {"type": "targets", "ref": "a1", "region": REGION, "targets": [STARTED]}
-DRAINING = {"type": "draining", "reconnect_in_s": 3.2}
+DRAINING = {"type": "draining", "reconnect_in_s": 3.2, "resumable": True}
 META = {"type": "meta", "seq": 17, "ts": 1712.5, "region": REGION}
 CONTROLS = [
     {"type": "add", "box": BOX, "ref": "a1"},
@@ -124,6 +129,7 @@ _MEMBERS: dict[str, dict[str, Any]] = {
     "full-frame-needed": {"region": [0, 0, 576, 432]},
     "over-credit": {"retry_after_s": 0.1},
     "rate-limited": {"retry_after_s": 0.5},
+    "over-quota": {"retry_after_s": 1.0},
     "at-capacity": {"retry_after_s": 1.0},
     "draining": {"retry_after_s": 15.0},
     "internal": {"request_id": "9f86d081884c7d65"},

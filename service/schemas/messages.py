@@ -77,6 +77,14 @@ class Ready(Model):
     region_lag: Annotated[int, Field(ge=0, description="frames in flight that regions leave room for")]
     next_seq: Annotated[Seq, Field(description="the number that the next frame takes")]
     attachment: Annotated[str, Field(description="name of this attachment, for `resume`")]
+    lost_after: Annotated[
+        Seq | None,
+        Field(
+            default=None,
+            description="after a breakdown of the service, until a frame is tracked: the last frame that the session"
+            " knows; what it learned from later ones is lost",
+        ),
+    ]
 
 
 class Error(Model):
@@ -98,10 +106,11 @@ class Targets(Model):
 
 
 class Draining(Model):
-    """The server is going away; the session can be resumed under the same id."""
+    """The server is going away; where sessions outlive it, they are resumed under the same id."""
 
     type: Literal["draining"]
     reconnect_in_s: Annotated[float, Field(ge=0)]
+    resumable: Annotated[bool, Field(description="sessions outlive the process: it has a state directory")]
 
 
 CLIENT = (Meta, FrameMessage, Add, Correct, Remove)

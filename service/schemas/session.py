@@ -190,6 +190,8 @@ class Limits(Model):
     max_body_bytes: int
     max_snapshot_bytes: int
     max_targets_per_session: int
+    max_sessions_per_key: int
+    max_streams_per_key: int
     max_trajectory_bytes: int
     idle_timeout_s: float
     max_idle_timeout_s: float
@@ -200,6 +202,8 @@ class Limits(Model):
     region_lag_frames: int
     max_messages_per_s: float
     max_requests_per_s: float
+    max_frames_per_s_per_key: float
+    max_frame_bytes_per_s_per_key: float
     ticket_s: float
     max_ticket_s: float
 
@@ -221,7 +225,7 @@ class Capabilities(Model):
 class Health(Model):
     """Whether the process lives, or takes work."""
 
-    status: Literal["ok", "starting", "draining"]
+    status: Literal["ok", "starting", "failing", "draining"]
     lanes_ready: int
     lanes: int
 

@@ -7,6 +7,7 @@ import contextlib
 import hashlib
 import secrets
 import time
+from collections import Counter
 from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -17,6 +18,7 @@ from ..lanes.interface import AtCapacity, KeysLost, Lanes
 from ..observability.metrics import Metrics
 from ..problems import ProblemError, session_gone, session_not_found
 from ..settings import Settings
+from .keeper import Keeper, created_at_of, options_of
 from .memory import Memory
 from .session import Attachment, Options, Session
 
@@ -34,6 +36,7 @@ class Tombstone:
 
     owner: str
     reason: str
+    detail: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +55,11 @@ class SessionBook:
     ) -> None:
         self.draining = False
         self._settings, self._lanes, self._metrics, self._clock = settings, lanes, metrics, clock
+        self.keeper = Keeper(settings, lanes, metrics)
         self._sessions: dict[str, Session] = {}
         self._tombstones: Memory[Tombstone] = Memory(settings.max_tombstones, settings.tombstone_s, clock)
         self._creations: Memory[Creation] = Memory(settings.max_idempotency_keys, settings.idempotency_s, clock)
+        self._opening: Counter[str] = Counter()
         self._ordinal = 0
 
     def __len__(self) -> int:
@@ -67,7 +72,7 @@ class SessionBook:
             grave = self._tombstones.get(sid)
             if grave is None or grave.owner != owner:
                 raise session_not_found()
-            raise session_gone(grave.reason)
+            raise session_gone(grave.reason, grave.detail)
         if self._overdue(session):
             self._end(session, self._overdue(session))
             return self.find(owner, sid)
@@ -94,7 +99,7 @@ class SessionBook:
         return await self._once(owner, key, data, repr((boxes, options)), make)
 
     async def restore(self, owner: str, snapshot: bytes, key: str | None) -> Session:
-        """A session that goes on from a snapshot, under a new id; the same one for the same ``key``."""
+        """A session that goes on from a snapshot's contents, under a new id; the same one for the same ``key``."""
 
         async def make() -> Session:
             session = self._open(owner, Options("default", "reject", None, False, self._settings.idle_timeout_s))
@@ -103,6 +108,7 @@ class SessionBook:
                 session.options = Options(
                     told["preset"], told["on_resize"], told["label"], told["maps"], told["idle_timeout_s"]
                 )
+                self.keeper.safe(session)
             return session
 
         return await self._once(owner, key, snapshot, "snapshot", make)
@@ -126,20 +132,47 @@ class SessionBook:
         left = min(self._idle_deadline(session), session.created + self._settings.max_session_s) - self._clock()
         return datetime.now(UTC) + timedelta(seconds=max(0.0, left))
 
+    async def load(self) -> None:
+        """Take up the sessions that another process has left. Raises BadState."""
+        await asyncio.to_thread(self.keeper.open)
+        saved, damaged = self.keeper.take()
+        for one in saved:
+            session = self._session(one.id, one.owner, options_of(one), created_at_of(one))
+            self.keeper.fill(session, one)
+            self._sessions[one.id] = session
+            session.revive()
+        for sid, owner in damaged:
+            self._tombstones.put(sid, Tombstone(owner, "lost", "what was saved of it is damaged"))
+        if saved or damaged:
+            whole = sum(one.whole for one in saved)
+            log.info("sessions taken up", sessions=len(saved), whole=whole, damaged=len(damaged))
+
     def drain(self, reconnect_in_s: Callable[[], float]) -> None:
-        """No new sessions from now on; every stream is told."""
+        """No new sessions from now on; every stream is told, and ends when sessions outlive the process."""
         self.draining = True
         for attachment in self._attachments():
-            attachment.tell({"type": "draining", "reconnect_in_s": reconnect_in_s()})
+            attachment.tell({"type": "draining", "reconnect_in_s": reconnect_in_s(), "resumable": self.keeper.durable})
+            if self.keeper.durable:
+                attachment.finish(1012, "service restart")
+
+    async def park(self) -> None:
+        """Write all sessions to the state directory."""
+        await self.keeper.park(self._sessions.values())
 
     def streams(self) -> int:
         """Attached streams."""
         return len(self._attachments())
 
-    def end_streams(self, code: int, reason: str) -> None:
-        """Close every stream; the sessions stay."""
-        for attachment in self._attachments():
+    def streams_of(self, owner: str) -> int:
+        """Attached streams of one owner."""
+        return sum(s.attachment is not None for s in self._sessions.values() if s.owner == owner)
+
+    def end_streams(self, code: int, reason: str, which: Callable[[Attachment], bool] = lambda _: True) -> int:
+        """Close streams, all or those chosen, and say how many; the sessions stay."""
+        chosen = [attachment for attachment in self._attachments() if which(attachment)]
+        for attachment in chosen:
             attachment.end(code, reason)
+        return len(chosen)
 
     def sweep(self) -> None:
         """End what is overdue, close streams that nobody reads, forget what is old."""
@@ -159,16 +192,17 @@ class SessionBook:
             self.sweep()
 
     async def follow_lanes(self) -> None:
-        """End the sessions of lanes that die, for as long as the service runs."""
+        """Restore the sessions of lanes that die, for as long as the service runs."""
         async for event in self._lanes.events():
             if isinstance(event, KeysLost):
                 self._metrics.lane_restarts.labels(cause=event.cause).inc()
                 log.error("lane lost", lane=event.lane, cause=event.cause, sessions=len(event.keys))
-                for sid in event.keys:
-                    if sid in self._sessions:
-                        self._end(self._sessions[sid], "lost")
             else:
-                log.info("lane ready", lane=event.lane)
+                log.info("lane ready", lane=event.lane, confined=event.confined)
+            # Also those that gave up waiting for a lane.
+            for session in self._sessions.values():
+                if not session.lane.held:
+                    session.revive()
 
     async def _once(
         self, owner: str, key: str | None, data: bytes, rest: str, make: Callable[[], Awaitable[Session]]
@@ -201,6 +235,9 @@ class SessionBook:
         """A place in a lane, taken at once or not at all, and a session around it."""
         if self.draining:
             raise self._unavailable("draining", self._settings.drain_grace_s)
+        self._check_quota(owner)
+        if self.keeper.budget.spent:
+            raise self._unavailable("at-capacity", 1.0, "no memory for another session")
         sid = secrets.token_urlsafe(ID_BYTES)
         try:
             self._lanes.reserve(sid)
@@ -210,15 +247,21 @@ class SessionBook:
                 self._lanes.reserve(sid)
             except AtCapacity:
                 raise self._unavailable("at-capacity", 1.0) from None
+        self._opening[owner] += 1
+        return self._session(sid, owner, options, datetime.now(UTC))
+
+    def _session(self, sid: str, owner: str, options: Options, created_at: datetime) -> Session:
         self._ordinal += 1
         return Session(
             sid,
             owner,
             options,
-            self._lanes,
+            self.keeper.lane_state(sid),
+            on_safe=self.keeper.safe,
+            on_poison=lambda session, detail: self._end(session, "lost", detail),
             ordinal=self._ordinal,
-            created=self._clock(),
-            created_at=datetime.now(UTC),
+            created=self._clock() - max(0.0, (datetime.now(UTC) - created_at).total_seconds()),
+            created_at=created_at,
             max_trajectory_bytes=self._settings.max_trajectory_bytes,
         )
 
@@ -228,17 +271,34 @@ class SessionBook:
             yield
         except BaseException as failed:
             self._lanes.release(session.id)
+            self.keeper.forget(session)
             if isinstance(failed, ProblemError) and failed.code == "session-gone":
                 # Its lane died under it: for the client there never was a session.
                 raise self._unavailable("at-capacity", 1.0) from failed
             raise
+        finally:
+            self._opening -= Counter((session.owner,))
         session.touched = self._clock()
         self._sessions[session.id] = session
         self._metrics.sessions_created.labels(preset=session.options.preset).inc()
 
-    def _unavailable(self, code: str, retry_after_s: float) -> ProblemError:
+    def _check_quota(self, owner: str) -> None:
+        """Raises over-quota for a key with as many sessions as it may have, those included that begin."""
+        most = self._settings.max_sessions_per_key
+        for expired_went in (False, True):
+            if self._opening[owner] + sum(s.owner == owner for s in self._sessions.values()) < most:
+                return
+            if not expired_went:
+                self.sweep()
+        self._metrics.refused_sessions.labels(reason="over-quota").inc()
+        raise ProblemError("over-quota", f"at most {most} sessions of a key", retry_after_s=1.0)
+
+    def _unavailable(
+        self, code: str, retry_after_s: float, detail: str = "no place for another session"
+    ) -> ProblemError:
         self._metrics.refused_sessions.labels(reason=code).inc()
-        detail = "the service is going away" if code == "draining" else "no place for another session"
+        if code == "draining":
+            detail = "the service is going away"
         return ProblemError(code, detail, retry_after_s=retry_after_s)
 
     def _idle_deadline(self, session: Session) -> float:
@@ -252,15 +312,16 @@ class SessionBook:
             return "expired"
         return "idle" if now > self._idle_deadline(session) else ""
 
-    def _end(self, session: Session, reason: str) -> None:
+    def _end(self, session: Session, reason: str, detail: str = "") -> None:
         session.ended = reason
         self._sessions.pop(session.id, None)
         self._lanes.release(session.id)
-        self._tombstones.put(session.id, Tombstone(session.owner, reason))
+        self.keeper.forget(session)
+        self._tombstones.put(session.id, Tombstone(session.owner, reason, detail))
         self._metrics.sessions_closed.labels(reason=reason).inc()
-        log.info("session ended", session=session.id, reason=reason, seq=session.seq)
+        log.info("session ended", session=session.id, reason=reason, detail=detail, seq=session.seq)
         if session.attachment is not None:
-            session.attachment.end(CLOSE_CODES[reason], f"session ended: {reason}")
+            session.attachment.end(CLOSE_CODES[reason], f"session ended: {detail or reason}")
 
     def _attachments(self) -> list[Attachment]:
         return [s.attachment for s in self._sessions.values() if s.attachment is not None]

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import secrets
 from typing import Any
 
 from ..settings import Settings
 
-KEY_BYTES = 32
-
 
 def lane_config(settings: Settings) -> dict[str, Any]:
-    """Plain values for ``service.lanes.store.Store``; without signing keys, one for this process alone."""
-    keys = [key.get_secret_value().encode() for key in settings.signing_keys]
+    """Plain values for ``service.lanes.store.Store``; no secret is among them."""
     return {
         "frame_limits": {
             "max_bytes": settings.max_frame_bytes,
@@ -22,5 +18,4 @@ def lane_config(settings: Settings) -> dict[str, Any]:
         },
         "max_targets": settings.max_targets_per_session,
         "region_lag": settings.region_lag_frames,
-        "signing_keys": keys or [secrets.token_bytes(KEY_BYTES)],
     }

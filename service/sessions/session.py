@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import structlog
 
-from ..lanes.interface import LaneHung, LaneLost, Lanes
-from ..lanes.wire import decode_reply, encode_call
+from ..keys import Identity
+from ..lanes.interface import LaneLost
 from ..observability.stages import Stages
 from ..problems import ProblemError, session_gone
 from ..schemas.fields import MAX_SEQ
 from . import wiring
+from .journal import Operation
+from .lane_state import LaneState, Poisoned
 from .trajectory import Entry, Trajectory
+
+T = TypeVar("T")
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.session")
 
@@ -49,9 +54,13 @@ class Attachment(Protocol):
     """What a session knows of the stream that is attached to it; ``name`` is known to its owner alone."""
 
     name: str
+    identity: Identity
 
     def tell(self, message: dict[str, Any]) -> None:
         """Send a message when there is room."""
+
+    def finish(self, code: int, reason: str) -> None:
+        """Read no more, answer what has been read, and close."""
 
     def end(self, code: int, reason: str) -> None:
         """Close; what waits is discarded."""
@@ -61,15 +70,21 @@ class Attachment(Protocol):
 
 
 class Session:
-    """State, numbering and the one-at-a-time rule; ``ended`` is the reason once it has."""
+    """State, numbering and the one-at-a-time rule; ``ended`` is the reason once it has.
+
+    ``on_safe`` is called when a checkpoint or the first frame is kept, between two operations, ``on_poison``
+    when the session cannot go on, with what may be told.
+    """
 
     def __init__(
         self,
         sid: str,
         owner: str,
         options: Options,
-        lanes: Lanes,
+        lane: LaneState,
         *,
+        on_safe: Callable[[Session], None],
+        on_poison: Callable[[Session, str], None],
         ordinal: int,
         created: float,
         created_at: datetime,
@@ -86,9 +101,14 @@ class Session:
         self.seq = 0
         self.last_number = 0
         self.http_waiting = 0
+        self.lost_after: int | None = None
+        self.saved_to = -1
         self.trajectory = Trajectory(max_trajectory_bytes)
-        self._lanes = lanes
+        self.lane = lane
+        self._on_safe, self._on_poison = on_safe, on_poison
         self._turn = asyncio.Lock()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._reviving = False
 
     def number(self, seq: int | None) -> int:
         """The number of a frame message, the client's own or the next. Raises stale-frame."""
@@ -106,14 +126,15 @@ class Session:
         chosen = self.options
         options = {"preset": chosen.preset, "on_resize": chosen.on_resize, "maps": chosen.maps}
         async with self._turn:
-            state = await self._call("create", {"options": options, "boxes": boxes}, data)
+            state = await self._call("create", {"options": options, "boxes": boxes}, data, changes=True)
             self._take(state)
             self.trajectory.append(Entry(0, None, self.size, self.region, self.rows))
+            self._on_safe(self)
 
     async def resume(self, data: bytes) -> dict[str, Any]:
-        """Start from a snapshot; what the front put into it."""
+        """Start from what :meth:`snapshot` gave; what the front put into it."""
         async with self._turn:
-            state = await self._call("restore", {"owner": self.owner}, data)
+            state = await self._call("restore", {}, data, changes=True)
             self._take(state)
             self.last_number = self.seq
         return {**state["front"], **state["options"]}
@@ -129,9 +150,10 @@ class Session:
             args["controls"] = controls
         async with self._turn:
             begun = time.monotonic()
-            state = await self._call("track", args, frame.data)
+            state = await self._call("track", args, frame.data, changes=True)
             self._take(state)
             self.trajectory.append(Entry(frame.seq, frame.ts, self.size, self.region, self.rows))
+            self.lost_after = None
         done = time.monotonic()
         decode_s, track_s = state["decode_s"], state["track_s"]
         transit_s = max(0.0, done - begun - decode_s - track_s)
@@ -157,7 +179,7 @@ class Session:
         """Add, correct or remove a target on the newest frame: the target, if it is there, and the region."""
         async with self._turn:
             try:
-                state = await self._call("control", control)
+                state = await self._call("control", control, changes=True)
             except ProblemError as refused:
                 if refused.code == "full-frame-needed":
                     self.region = refused.members["region"]
@@ -168,12 +190,24 @@ class Session:
         row = next((row for row in state["rows"] if row[0] == state["target"]), None)
         return row and wiring.target(row), self.region
 
-    async def snapshot(self) -> bytes:
-        """The session as signed bytes, between two frames."""
+    async def snapshot(self) -> bytes | memoryview:
+        """The session as bytes, between two frames; they are not signed."""
         front = {"label": self.options.label, "idle_timeout_s": self.options.idle_timeout_s}
         async with self._turn:
-            data: bytes = await self._call("snapshot", {"owner": self.owner, "front": front})
+            data: bytes | memoryview = await self._call("snapshot", {"front": front})
         return data
+
+    def revive(self) -> None:
+        """Have the state restored, now that its lane is lost."""
+        if not self._reviving:
+            self._reviving = True
+            self._later(self._revive())
+
+    async def park(self) -> None:
+        """Finish what is in work and keep the state as it is then. Raises as every operation."""
+        async with self._turn:
+            if self.lane.journal.since and not self.ended:
+                await self._guarded(self.lane.checkpoint("stop"))
 
     async def settled(self) -> None:
         """Wait until nothing is in work."""
@@ -192,22 +226,58 @@ class Session:
             state["rows"],
         )
 
-    async def _call(self, op: str, args: Mapping[str, Any], data: bytes = b"") -> Any:
+    def _later(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _checkpoint(self) -> None:
+        # After the frame was answered, and between two.
+        with suppress(ProblemError):
+            async with self._turn:
+                if not self.ended and (reason := self.lane.due):
+                    await self._keep(reason)
+
+    async def _revive(self) -> None:
+        try:
+            async with self._turn:
+                if not self.ended and not self.lane.held:
+                    await self._guarded(self.lane.recover())
+        except ProblemError as refused:
+            log.warning("session not restored", session=self.id, code=refused.code)
+        finally:
+            self._reviving = False
+
+    async def _keep(self, reason: str) -> None:
+        await self._guarded(self.lane.checkpoint(reason))
+        self._on_safe(self)
+
+    async def _call(self, op: str, args: Mapping[str, Any], data: bytes = b"", *, changes: bool = False) -> Any:
         if self.ended:
             raise session_gone(self.ended)
-        try:
-            reply = await self._lanes.call(self.id, encode_call(op, self.id, args, data))
-        except LaneHung as hung:
-            raise ProblemError("deadline-exceeded", "the operation took too long") from hung
-        except LaneLost as lost:
-            raise session_gone(self.ended or "lost") from lost
-        code, value = decode_reply(reply)
+        code, value = await self._guarded(self.lane.call(Operation(op, args, data), changes=changes))
+        if changes and self.lane.due and not self._tasks:
+            self._later(self._checkpoint())
         if code == "internal":
             log.error("fault in a lane", session=self.id, op=op, fault=value[0])
             raise ProblemError("internal", "the fault is logged under the request id")
         if code is not None:
             raise _refusal([code, *value])
         return value
+
+    async def _guarded(self, work: Awaitable[T]) -> T:
+        try:
+            return await work
+        except LaneLost as lost:
+            raise session_gone(self.ended or "lost") from lost
+        except Poisoned as poisoned:
+            log.error("session is poisoned", session=self.id, fault=str(poisoned))
+            if self.lane.journal.base is not None:
+                self._on_poison(self, str(poisoned))
+                raise session_gone("lost", str(poisoned)) from poisoned
+            # It has not begun.
+            code, detail = ("deadline-exceeded", "took too long") if poisoned.late else ("internal", "ended its worker")
+            raise ProblemError(code, f"the operation {detail}") from poisoned
 
 
 def _refusal(told: list[Any]) -> ProblemError:

@@ -6,6 +6,7 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import Any
 
 import msgpack
@@ -36,10 +37,18 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self._packed)
 
+    @property
+    def first_seq(self) -> int:
+        """The oldest frame that is kept; 0 while there is none."""
+        return self._packed[0][0] if self._packed else 0
+
     def append(self, entry: Entry) -> None:
         """Add the newest frame."""
-        packed = msgpack.packb((entry.ts, entry.size, entry.region, entry.rows))
-        self._packed.append((entry.seq, packed))
+        self.append_packed(entry.seq, msgpack.packb((entry.ts, entry.size, entry.region, entry.rows)))
+
+    def append_packed(self, seq: int, packed: bytes) -> None:
+        """Add an entry that :meth:`newest` gave."""
+        self._packed.append((seq, packed))
         self._bytes += len(packed) + OVERHEAD_BYTES
         while self._bytes > self._max_bytes and len(self._packed) > 1:
             self._bytes -= len(self._packed.popleft()[1]) + OVERHEAD_BYTES
@@ -52,6 +61,11 @@ class Trajectory:
         self._bytes -= len(packed) + OVERHEAD_BYTES
         ts, size, _, _ = msgpack.unpackb(packed)
         self.append(Entry(seq, ts, size, region, rows))
+
+    def newest(self, since: int) -> list[tuple[int, bytes]]:
+        """The packed entries from ``since`` on, oldest first; for a few of many."""
+        some = list(takewhile(lambda entry: entry[0] >= since, reversed(self._packed)))
+        return some[::-1]
 
     def after(self, seq: int) -> list[tuple[int, bytes]]:
         """The packed entries above ``seq``, oldest first; see :func:`unpacked`."""

@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any
 import structlog
 
 from ..frames.header import sniff
+from ..keys import Identity
 from ..observability.metrics import Metrics
 from ..observability.stages import Stages
 from ..problems import ProblemError
 from ..schemas.packed import Unreadable
 from ..sessions.bucket import Bucket
+from ..sessions.meter import Meter
 from ..sessions.session import Frame, Session
 from ..settings import Settings
 from .codec import Codec, Event, Refusal
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
 LINGER_S = 5.0
 MAX_UNSENT = 64
 NAME_BYTES = 9
+MAX_DEBT_S = 1.0
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.stream")
 
@@ -44,9 +47,11 @@ class StreamAttachment:
     def __init__(
         self,
         session: Session,
+        identity: Identity,
         codec: Codec,
         flow: Flow,
         settings: Settings,
+        meter: Meter,
         metrics: Metrics,
         receive: Callable[[], Awaitable[Event]],
         send: Callable[[Event], Awaitable[None]],
@@ -55,13 +60,15 @@ class StreamAttachment:
         span: Span | None,
     ) -> None:
         self.name = secrets.token_urlsafe(NAME_BYTES)
+        self.identity = identity
         self._session, self._codec, self._flow = session, codec, flow
-        self._settings, self._metrics = settings, metrics
+        self._settings, self._meter, self._metrics = settings, meter, metrics
         self._receive, self._asgi_send, self._abort = receive, send, abort
         self._request_id, self._span = request_id, span
         self._bucket = Bucket(settings.max_messages_per_s, time.monotonic())
         self._refused_in_a_row = 0
         self._ending = False
+        self._finishing: tuple[int, str] | None = None
         self._in_lane = False
         self._unsent = 0
         self._unsent_since = 0.0
@@ -94,6 +101,12 @@ class StreamAttachment:
         """Send a message when there is room."""
         self._later(self._send(message))
 
+    def finish(self, code: int, reason: str) -> None:
+        """Read no more, answer what has been read, and close."""
+        if self._finishing is None:
+            self._finishing = code, reason
+            self._later(self._finish())  # after what was told before
+
     def end(self, code: int, reason: str) -> None:
         """Close; the frame in work is finished and kept, what waits is discarded."""
         if self._ending:
@@ -116,6 +129,10 @@ class StreamAttachment:
         self._flow.discard()
         if self._pump_task is not None and not self._in_lane:
             self._pump_task.cancel()
+
+    async def _finish(self) -> None:
+        if self._finishing is not None and self._flow.empty and not self._in_lane:
+            self.end(*self._finishing)
 
     def _later(self, work: Any) -> None:
         task = asyncio.ensure_future(work)
@@ -141,7 +158,7 @@ class StreamAttachment:
             event = await self._receive()
             if event["type"] == "websocket.disconnect":
                 return
-            if self._ending:
+            if self._ending or self._finishing:
                 continue
             arrived = time.monotonic()
             try:
@@ -150,9 +167,12 @@ class StreamAttachment:
                     await self._take_frame(message, arrived)
                 elif message is not None:
                     await self._take_control(message)
+                else:
+                    self._owe()
             except Unreadable as unreadable:
                 self.end(4400, str(unreadable))
             except Refusal as refused:
+                self._owe()
                 await self._refuse(refused, ref=refused.ref)
             except ProblemError as problem:
                 await self._refuse(problem)
@@ -164,7 +184,7 @@ class StreamAttachment:
         seq = meta.seq
         try:
             seq = session.number(seq)
-            self._spend(arrived)
+            self._spend(arrived, len(message.data))
             if message.problem is not None:
                 raise message.problem
             if len(message.data) > self._settings.max_frame_bytes:
@@ -189,15 +209,25 @@ class StreamAttachment:
         except ProblemError as problem:
             await self._refuse(problem, ref=control.ref)
 
-    def _spend(self, now: float) -> None:
-        wait_s = self._bucket.take(now)
-        if wait_s == 0:
-            self._refused_in_a_row = 0
-            return
-        self._refused_in_a_row += 1
-        if self._refused_in_a_row > self._settings.max_refused_messages:
+    def _spend(self, now: float, frame_bytes: int | None = None) -> None:
+        """Count a message, which may be a frame. Raises rate-limited, at-capacity; too many in a row end the stream."""
+        try:
+            if wait_s := self._bucket.take(now):
+                raise ProblemError("rate-limited", "too many messages", retry_after_s=round(wait_s, 3))
+            if frame_bytes is not None:
+                self._meter.frame(self._session.owner, frame_bytes)
+        except ProblemError:
+            self._refused_in_a_row += 1
+            if self._refused_in_a_row > self._settings.max_refused_messages:
+                self.end(4429, "too many messages")
+            raise
+        self._refused_in_a_row = 0
+
+    def _owe(self) -> None:
+        """Count a message that has no answer of its own, or is refused anyway."""
+        self._bucket.spend(1)
+        if self._bucket.wait_s(time.monotonic()) > MAX_DEBT_S:
             self.end(4429, "too many messages")
-        raise ProblemError("rate-limited", "too many messages", retry_after_s=round(wait_s, 3))
 
     async def _pump(self) -> None:
         while not self._ending:
@@ -218,6 +248,7 @@ class StreamAttachment:
             if job.frame is not None and stages is not None:
                 sent_s = time.monotonic() - begun
                 self._metrics.frame(stages, self._session.id, job.frame.seq, self._span, live=False, sent_s=sent_s)
+            await self._finish()
 
     async def _work(self, job: Job) -> tuple[list[dict[str, Any]], Stages | None]:
         """Have the job done; what the client is told, and the time a tracked frame took."""

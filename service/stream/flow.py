@@ -38,6 +38,11 @@ class Flow:
         self._for_next: list[Control] = []
         self._wake = asyncio.Event()
 
+    @property
+    def empty(self) -> bool:
+        """Whether nothing waits for the lane."""
+        return not self._jobs
+
     def take_for_next(self) -> list[Control]:
         """The controls that wait for the frame message that has just come."""
         controls, self._for_next = self._for_next, []

@@ -283,7 +283,7 @@ async def test_a_snapshot_goes_on_bit_for_bit(wire: Wire, clip: Clip) -> None:
         taken.content[:20],
         taken.content[:-1],
         taken.content[:100] + bytes([taken.content[100] ^ 1]) + taken.content[101:],
-        taken.content[:6] + b"\x00\x02" + taken.content[8:],
+        taken.content[:6] + b"\x00\x03" + taken.content[8:],
     ):
         refused = await wire.http.post("/v1/sessions", content=broken, headers={"Content-Type": SNAPSHOT})
         assert problem(refused) == (422, "bad-snapshot")

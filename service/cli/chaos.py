@@ -1,0 +1,77 @@
+"""``mfcmt chaos``: faults at random moments under load, and what they cost."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+from mfcmt_core.cli import UsageError
+
+from ..client import ClientError
+from ..load.chaos import RESTARTS, Plan, Report, chaos
+from ..load.clips import open_clip
+from ..load.own import ServerFailed
+
+MAX_SESSIONS, MAX_FPS, MAX_FAULTS, MAX_FRAMES = 256, 120.0, 10_000, 300
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    add = parser.add_argument
+    add("--faults", type=int, default=30, metavar="N", help="of lanes: SIGKILL, SIGSTOP and memory growth (30)")
+    add("--restarts", type=int, default=3, metavar="N", help="then SIGTERMs of the service, and as many kill -9 (3)")
+    add("--sessions", type=int, default=10, metavar="N", help="streams at once (10)")
+    add("--fps", type=float, default=30.0, metavar="F", help="frames/s of each (30)")
+    add("--lanes", type=int, default=2, metavar="N", help="lanes of the server that is started (2)")
+    add("--seed", type=int, default=1, metavar="N", help="of the moments and the victims (1)")
+    add("--frames", metavar="FOLDER", type=Path, help="images to send; default: a rendered clip")
+    add("--box", metavar="X,Y,W,H", help="the target in the first frame; default: the ground truth, else the middle")
+    add("--json", action="store_true", help="print JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do the work; 1 when something was lost or differs."""
+    for name, value, least, most in (
+        ("--faults", args.faults, 0, MAX_FAULTS),
+        ("--restarts", args.restarts, 0, MAX_FAULTS),
+        ("--sessions", args.sessions, 1, MAX_SESSIONS),
+        ("--fps", args.fps, 1, MAX_FPS),
+        ("--lanes", args.lanes, 1, MAX_SESSIONS),
+    ):
+        if not least <= value <= most:
+            raise UsageError(f"{name} is from {least} to {most:g}")
+    clip = open_clip(args.frames, args.box, MAX_FRAMES)
+    plan = Plan(args.sessions, args.fps, args.lanes, args.faults, args.restarts, args.seed)
+    try:
+        report = chaos(clip, plan, lambda step: print(f"... {step}", file=sys.stderr))
+    except (ClientError, ServerFailed, TimeoutError) as failed:
+        print(f"mfcmt chaos: {failed}", file=sys.stderr)
+        return 1
+    print(json.dumps(report.as_dict()) if args.json else "\n".join(_told(report, f"{clip.name}, {_size(clip.size)}")))
+    return 0 if report.flawless else 1
+
+
+def _told(report: Report, clip: str) -> Iterable[str]:
+    plan = report.plan
+    yield f"{plan.sessions} streams of {clip}, {plan.fps:g} frames/s each, {plan.lanes} lanes, seed {plan.seed}"
+    counts = ", ".join(f"{len(seconds)} {kind}" for kind, seconds in report.seconds.items())
+    yield f"faults injected    {counts}"
+    refused = "".join(f", {count} refused with {code}" for code, count in report.refused.items())
+    yield f"results lost       {report.lost} of {report.frames}{refused}"
+    yield f"boxes that differ  {report.differ} of {report.compared} (those before the first kill -9 of the service)"
+    for kind, seconds in report.seconds.items():
+        what = "resumed" if kind in RESTARTS else "next result"
+        yield (
+            f"{f'{kind} to {what}':<24}median {statistics.median(seconds) * 1e3:6.0f} ms, max "
+            f"{max(seconds) * 1e3:6.0f} ms (of the last of all streams)"
+        )
+    if report.forgotten:
+        yield f"forgotten by kill -9    at most {max(report.forgotten)} frames of learning"
+
+
+def _size(size: tuple[int, int]) -> str:
+    return f"{size[0]}x{size[1]}"

@@ -1,0 +1,115 @@
+"""What brings sessions back: after the loss of a lane, and of the whole process."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable
+from datetime import datetime
+from pathlib import Path
+
+import structlog
+
+from ..lanes.interface import Lanes
+from ..observability.metrics import Metrics
+from ..problems import ProblemError
+from ..settings import Settings
+from .journal import Budget
+from .lane_state import LaneState
+from .session import Options, Session
+from .vault import Saved, Vault
+
+log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.recovery")
+
+
+class Keeper:
+    """Journals in memory, within one budget; sessions on disk where a state directory is set."""
+
+    def __init__(self, settings: Settings, lanes: Lanes, metrics: Metrics) -> None:
+        self.budget = Budget(settings.max_recovery_bytes)
+        self._settings, self._lanes, self._metrics = settings, lanes, metrics
+        self._vault = Vault(Path(settings.state_dir), metrics) if settings.state_dir else None
+
+    @property
+    def durable(self) -> bool:
+        """Whether sessions outlive the process."""
+        return self._vault is not None
+
+    def lane_state(self, sid: str) -> LaneState:
+        """The lane side of a new session."""
+        return LaneState(sid, self._lanes, self.budget, self._settings, self._metrics)
+
+    def open(self) -> None:
+        """Open the state directory, where there is one. Raises BadState."""
+        if self._vault is not None:
+            self._vault.open()
+
+    def take(self) -> tuple[list[Saved], list[tuple[str, str]]]:
+        """What another process has left: sessions, and ids and owners of damaged ones; once."""
+        return self._vault.take() if self._vault else ([], [])
+
+    def safe(self, session: Session, *, whole: bool = False) -> None:
+        """The session can be brought back as it is now; ``whole``: and nothing more will happen to it here."""
+        base = session.lane.journal.base
+        if self._vault is None or base is None or session.ended:
+            return
+        options = session.options
+        front = {
+            "options": [options.preset, options.on_resize, options.label, options.maps, options.idle_timeout_s],
+            "created_at": session.created_at.isoformat(),
+            "seq": session.seq,
+            "last_number": session.last_number,
+            "size": session.size,
+            "region": session.region,
+            "rows": session.rows,
+        }
+        trajectory = session.trajectory
+        entries = trajectory.newest(session.saved_to)
+        session.saved_to = session.seq
+        self._vault.save(Saved(session.id, session.owner, front, base, entries, trajectory.first_seq, whole))
+
+    def fill(self, session: Session, saved: Saved) -> None:
+        """Make a new session what the saved one was; its state comes back with its lane."""
+        front = saved.front
+        session.seq, session.last_number = front["seq"], front["last_number"]
+        session.size, session.region, session.rows = front["size"], front["region"], front["rows"]
+        for seq, entry in saved.entries:
+            session.trajectory.append_packed(seq, entry)
+        session.saved_to = session.seq
+        session.lost_after = None if saved.whole else session.seq
+        session.lane.journal.rebase(saved.base)
+
+    def forget(self, session: Session) -> None:
+        """The session has ended."""
+        session.lane.journal.close()
+        if self._vault is not None:
+            self._vault.forget(session.id)
+
+    async def park(self, sessions: Iterable[Session]) -> None:
+        """Write all sessions as they are when their work in flight is done, and close the state directory."""
+        if self._vault is None:
+            return
+        sessions = list(sessions)
+        results = await asyncio.gather(*(self._park(session) for session in sessions))
+        written = await asyncio.to_thread(self._vault.flush, self._settings.operation_deadline_s)
+        await asyncio.to_thread(self._vault.close)
+        told = log.info if written and all(results) else log.error
+        told("sessions parked", sessions=len(sessions), whole=sum(results), written=written)
+
+    async def _park(self, session: Session) -> bool:
+        try:
+            async with asyncio.timeout(2 * self._settings.operation_deadline_s):
+                await session.park()
+        except (ProblemError, TimeoutError):
+            return False  # it will go on from its last checkpoint
+        self.safe(session, whole=True)
+        return True
+
+
+def options_of(saved: Saved) -> Options:
+    """What the client of a saved session chose."""
+    return Options(*saved.front["options"])
+
+
+def created_at_of(saved: Saved) -> datetime:
+    """When a saved session was made."""
+    return datetime.fromisoformat(saved.front["created_at"])

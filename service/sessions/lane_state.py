@@ -1,0 +1,159 @@
+"""A session's state in a lane, which outlives the lane."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import Any
+from zlib import crc32
+
+import structlog
+
+from ..lanes.interface import LaneLost, Lanes
+from ..lanes.wire import decode_reply
+from ..observability.metrics import Metrics
+from ..problems import ProblemError
+from ..settings import Settings
+from .journal import Budget, Journal, Operation
+
+# One object: a session whose checkpoint ends two lanes is as poisonous as a frame that does.
+CHECKPOINT = Operation("checkpoint", {})
+# What may have changed the state: a control that is refused for want of pixels asks for a whole frame.
+CHANGING = (None, "full-frame-needed")
+
+log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.recovery")
+
+
+class Poisoned(Exception):
+    """One operation has ended two lanes in a row, or the state cannot be read; the text may be shown.
+
+    ``late``: the lanes did not die by themselves, the operation took too long.
+    """
+
+    def __init__(self, detail: str, *, late: bool = False) -> None:
+        super().__init__(detail)
+        self.late = late
+
+
+class LaneState:
+    """Its methods are called one at a time.
+
+    They raise LaneLost when the key is released, Poisoned, and at-capacity if no lane becomes ready.
+    """
+
+    def __init__(self, key: str, lanes: Lanes, budget: Budget, settings: Settings, metrics: Metrics) -> None:
+        self.journal = Journal(budget)
+        self._key, self._lanes, self._budget = key, lanes, budget
+        self._settings, self._metrics = settings, metrics
+        self._suspect: Operation | None = None
+        self._torn = False
+        # Early enough for the newest checkpoint to be on disk, and never to be more frames old than is said.
+        self._every = max(1, settings.checkpoint_every_frames - settings.credit_frames)
+        # Sessions that began together should not all take their checkpoints at the same frame.
+        self._due_frames = 1 + crc32(key.encode()) % self._every
+
+    @property
+    def due(self) -> str | None:
+        """Why a checkpoint is to be taken now, if one is."""
+        if len(self.journal.since) >= self._due_frames:
+            return "frames"
+        if 2 * self.journal.bytes >= self._settings.max_replay_bytes:
+            return "bytes"
+        return "budget" if self.journal.since and self._budget.spent else None
+
+    @property
+    def held(self) -> bool:
+        """Whether a lane has a place for it."""
+        return self._lanes.holds(self._key)
+
+    async def call(self, operation: Operation, *, changes: bool) -> tuple[str | None, Any]:
+        """The lane's answer; if the lane is lost, that of the one in which the state is restored.
+
+        With ``changes`` the operation is made again whenever the state is restored, unless it was refused.
+        """
+        journal = self.journal
+        if changes and journal.since and journal.bytes + operation.bytes > self._settings.max_replay_bytes:
+            await self.checkpoint("bytes")
+        await self._mend()
+        # Given up or broken off, an operation may be done, half done or not done; it shall not be.
+        self._torn = changes
+        code, value = await self._lasting(operation)
+        self._torn = changes and code == "internal"
+        if changes and code in CHANGING:
+            journal.add(operation)
+        return code, value
+
+    async def checkpoint(self, reason: str) -> None:
+        """Keep the state as it is now in place of what led to it."""
+        started = time.monotonic()
+        await self._mend()
+        code, value = await self._lasting(CHECKPOINT)
+        if code is not None:
+            log.error("fault in a lane", session=self._key, op="checkpoint", fault=value[0])
+            return
+        self.journal.rebase(Operation("revive", {}, value))
+        self._due_frames = self._every
+        self._metrics.checkpoint(reason, len(value), time.monotonic() - started)
+
+    async def recover(self, cause: str = "") -> None:
+        """Restore the state in a lane, as soon as one is ready; ``cause`` is told where no lane was lost."""
+        started = time.monotonic()
+        while True:
+            try:
+                async with asyncio.timeout(self._settings.recovery_timeout_s):
+                    cause = await self._lanes.regain(self._key) or cause
+                await self._replay()
+                break
+            except TimeoutError:
+                raise ProblemError("at-capacity", "no lane is ready for the session", retry_after_s=1.0) from None
+            except LaneLost as lost:
+                if lost.cause == "released":
+                    raise
+        if self.journal.base is not None:
+            seconds, frames = time.monotonic() - started, len(self.journal.since)
+            self._metrics.recovered(cause, frames, seconds)
+            log.info("session restored", session=self._key, cause=cause, frames=frames, seconds=round(seconds, 4))
+
+    async def _mend(self) -> None:
+        """If it is not sure what the last operation has done, go back to before it."""
+        if self._torn:
+            await self.recover("fault")
+            self._torn = False
+
+    async def _lasting(self, operation: Operation) -> tuple[str | None, Any]:
+        while True:
+            try:
+                return await self._once(operation)
+            except LaneLost as lost:
+                if lost.cause == "released":
+                    raise
+                await self.recover()
+
+    async def _replay(self) -> None:
+        base = self.journal.base
+        if base is None:
+            return
+        code, value = await self._once(base)
+        if code is not None:
+            log.error("session cannot be restored", session=self._key, op=base.op, code=code, detail=value[0])
+            raise Poisoned("its state cannot be restored")
+        for operation in self.journal.since:
+            await self._once(operation)
+
+    async def _once(self, operation: Operation) -> tuple[str | None, Any]:
+        try:
+            reply = await self._lanes.call(self._key, operation.request(self._key))
+        except LaneLost as lost:
+            if lost.in_work and lost.cause != "released":
+                if self._suspect is operation:
+                    raise Poisoned(_poison(operation, lost), late=lost.cause == "hung") from lost
+                self._suspect = operation
+            raise
+        if self._suspect is operation:
+            self._suspect = None
+        return decode_reply(reply)
+
+
+def _poison(operation: Operation, lost: LaneLost) -> str:
+    what = f"frame {operation.args['seq']}" if operation.op == "track" else f"the {operation.op}"
+    return f"{what} took too long twice" if lost.cause == "hung" else f"{what} ended its worker twice"

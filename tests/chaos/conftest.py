@@ -1,0 +1,60 @@
+"""Clips and servers, as for the tests of the service; and servers whose lanes can be made to misbehave."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from service.load.own import OwnServer
+from tests.service.conftest import clip, own_server
+
+__all__ = ["clip", "misbehaving", "own_server"]
+
+POISON = b"(poison)"
+SLEEP = b"(sleep)"
+FAULT = b"(fault)"
+GROW = b"(grow)"
+
+# Runs in each Python process of a server; only in its fork server, and so in its lanes, it does something.
+SITE = f"""
+import sys
+if any("forkserver" in argument for argument in sys.orig_argv):
+    from service.lanes import preload, store
+    from mfcmt_core import MFCMT
+    import os, signal, time
+    handle, update = store.Store.handle, MFCMT.update
+
+    def misbehave(self, op, key, args, data):
+        if op in ("create", "track") and data.endswith({POISON!r}):
+            os.kill(os.getpid(), signal.SIGKILL)
+        if op == "track" and data.endswith({SLEEP!r}):
+            time.sleep(60)
+        if op == "track" and data.endswith({GROW!r}):
+            try:
+                os.mkdir(os.environ["MISBEHAVED"])
+            except FileExistsError:
+                pass
+            else:
+                store.held = b"grow" * (120 << 20)
+        reply = handle(self, op, key, args, data)
+        if op == "track" and data.endswith({FAULT!r}):
+            raise RuntimeError("a fault, when the work was done")
+        return reply
+
+    store.Store.handle = misbehave
+"""
+
+
+@pytest.fixture
+def misbehaving(own_server: Callable[..., OwnServer], tmp_path: Path) -> Callable[..., OwnServer]:
+    """Servers whose lanes die of frames that end with ``POISON``, hang at ``SLEEP``, break at ``FAULT``, grow at
+    the first ``GROW``."""
+    (tmp_path / "sitecustomize.py").write_text(SITE)
+
+    def start(**settings: object) -> OwnServer:
+        environment = {"PYTHONPATH": str(tmp_path), "MISBEHAVED": str(tmp_path / "misbehaved")}
+        return own_server(environment=environment, **settings)
+
+    return start

@@ -1,0 +1,48 @@
+"""Faults at random moments under ten streams; the long form is ``mfcmt chaos``."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from mfcmt_core.cli import main
+from service.cli.chaos import _told
+from service.load.chaos import LANE_FAULTS, RESTARTS, Plan, Report, chaos
+from service.load.clips import Clip
+
+
+def test_nothing_is_lost_and_nothing_differs(clip: Clip) -> None:
+    """A lane is killed, stopped and made to grow, the service stopped and killed: every result comes."""
+    plan = Plan(sessions=10, fps=15, lanes=2, faults=3, restarts=1, seed=7)
+    report = chaos(clip, plan, print)
+    assert {kind: len(seconds) for kind, seconds in report.seconds.items()} == dict.fromkeys(
+        (*LANE_FAULTS, *RESTARTS), 1
+    )
+    assert report.frames > 100
+    assert report.compared > 100
+    assert (report.lost, report.refused, report.differ) == (0, {}, 0)
+    assert report.flawless
+    assert len(report.forgotten) <= 10
+    assert all(0 <= count <= 60 for count in report.forgotten)
+
+
+def test_what_the_command_says() -> None:
+    seconds = {"SIGKILL": [0.12, 0.2], "SIGTERM": [3.0]}
+    report = Report(Plan(10, 30, 2, 2, 1, 1), seconds, 500, 0, {}, 400, 0, [12])
+    told = "\n".join(_told(report, "sample"))
+    assert "results lost       0 of 500" in told
+    assert "boxes that differ  0 of 400" in told
+    assert "SIGKILL to next result  median    160 ms, max    200 ms" in told
+    assert "SIGTERM to resumed" in told
+    assert "at most 12 frames" in told
+    assert json.loads(json.dumps(report.as_dict()))["lost"] == 0
+    assert not replace(report, differ=1).flawless
+    assert "1 refused with at-capacity" in "\n".join(_told(replace(report, refused={"at-capacity": 1}), "sample"))
+
+
+@pytest.mark.parametrize("wrong", [["--faults", "-1"], ["--sessions", "0"], ["--fps", "1e9"]])
+def test_bad_arguments(wrong: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["chaos", *wrong]) == 2
+    assert wrong[0] in capsys.readouterr().err

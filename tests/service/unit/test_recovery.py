@@ -1,0 +1,340 @@
+"""Journals and their bounds, the vault and its disk, with lanes that only answer."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import sqlite3
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from prometheus_client import generate_latest
+
+from service.lanes.interface import AtCapacity, Buffers, LaneLost
+from service.lanes.pool import LanePool
+from service.lanes.process import LaneProcess
+from service.lanes.wire import Splitter, decode_call, decode_reply, encode_reply, framed
+from service.observability.metrics import Metrics
+from service.problems import ProblemError
+from service.sessions.book import SessionBook
+from service.sessions.journal import Budget, Journal, Operation
+from service.sessions.session import Frame, Session
+from service.sessions.vault import FILE, BadState, Saved, Vault
+from service.settings import Settings
+
+from .test_book import Lanes, World
+
+KIB = 1024
+
+
+class Recording(Lanes):
+    """Lanes that note operations, and die when told to."""
+
+    def __init__(self, places: int) -> None:
+        super().__init__(places)
+        self.ops: list[tuple[str, Any]] = []
+        self.deaths: list[tuple[str, bool]] = []
+
+    async def call(self, key: str, request: Buffers) -> bytes:
+        op, _, args, _ = decode_call(memoryview(b"".join(request)))
+        self.ops.append((op, args.get("seq")))
+        if self.deaths and key in self.keys:
+            cause, in_work = self.deaths.pop(0)
+            self.keys.discard(key)
+            raise LaneLost(cause, in_work=in_work)
+        if op == "checkpoint":
+            return encode_reply(None, b"c" * 10 * KIB)
+        return await super().call(key, request)
+
+
+def text(metrics: Metrics) -> bytes:
+    return generate_latest(metrics.registry)
+
+
+class Keeping(World):
+    """A book over lanes that note operations."""
+
+    lanes: Recording
+
+    def __init__(self, places: int = 2, **settings: Any) -> None:
+        super().__init__(places, **settings)
+        self.lanes = Recording(places)
+        self.metrics = Metrics()
+        self.book = SessionBook(self.settings, self.lanes, self.metrics, lambda: self.now)
+
+    async def track(self, session: Session, size: int = KIB) -> int:
+        result, _, _ = await session.track(Frame(b"f" * size, session.number(None), None, None, 0.0, 0.0))
+        await asyncio.sleep(0.001)  # for a checkpoint, behind the frame
+        seq: int = result["seq"]
+        return seq
+
+
+async def test_a_checkpoint_comes_every_so_many_frames_and_only_then() -> None:
+    world = Keeping(checkpoint_every_frames=12, credit_frames=2)
+    session = await world.create()
+    for _ in range(40):
+        await world.track(session)
+    at = [index for index, (op, _) in enumerate(world.lanes.ops) if op == "checkpoint"]
+    gaps = {later - earlier - 1 for earlier, later in itertools.pairwise(at)}
+    assert 1 <= at[0] - 1 <= 10
+    assert gaps == {10}
+    assert len(session.lane.journal.since) < 10
+    before = len(world.lanes.ops)
+    await session.park()
+    await session.park()
+    assert [op for op, _ in world.lanes.ops[before:]] in (["checkpoint"], [])
+
+
+async def test_what_is_lost_is_made_again_in_order() -> None:
+    world = Keeping(checkpoint_every_frames=100)
+    session = await world.create()
+    session.lane._due_frames = 100
+    for _ in range(3):
+        await world.track(session)
+    await session.control({"type": "add", "box": [1, 2, 3, 4]})
+    world.lanes.refuse = "bad-region"
+    with pytest.raises(ProblemError, match="bad-region"):
+        await world.track(session)
+    world.lanes.refuse = None
+    world.lanes.keys.clear()
+    world.lanes.ops.clear()
+    assert await world.track(session) == 5
+    assert world.lanes.ops == [
+        ("track", 5),
+        ("create", None),
+        ("track", 1),
+        ("track", 2),
+        ("track", 3),
+        ("control", None),
+        ("track", 5),
+    ]
+
+
+async def test_the_bound_of_a_session_is_kept_by_an_earlier_checkpoint() -> None:
+    world = Keeping(max_replay_bytes=64 * KIB, checkpoint_every_frames=10_000)
+    session = await world.create()
+    session.lane._due_frames = 10_000
+    for _ in range(50):
+        await world.track(session, 10 * KIB)
+        assert session.lane.journal.bytes <= 64 * KIB
+    await world.track(session, 200 * KIB)  # larger than the bound: alone
+    await world.track(session, 10 * KIB)
+    assert session.lane.journal.bytes <= 64 * KIB
+    assert b'reason="bytes"' in text(world.metrics)
+
+
+async def test_at_the_bound_of_all_nothing_is_lost_and_nobody_is_let_in() -> None:
+    world = Keeping(places=9, max_recovery_bytes=1024 * KIB, checkpoint_every_frames=10_000)
+    sessions = [await world.create() for _ in range(3)]
+    for session in sessions:
+        session.lane._due_frames = 10_000
+    budget = world.book.keeper.budget
+    for _ in range(60):
+        for session in sessions:
+            await world.track(session, 30 * KIB)
+        assert budget.checkpoints + budget.frames <= (1024 + 3 * 32) * KIB
+    assert b'reason="budget"' in text(world.metrics)
+    budget.limit = 1
+    with pytest.raises(ProblemError, match="at-capacity"):
+        await world.create()
+    for session in sessions:
+        world.book.close("me", session.id)
+    assert (budget.checkpoints, budget.frames) == (0, 0)
+
+
+async def test_the_same_frame_twice_is_poison_other_deaths_are_not() -> None:
+    world = Keeping()
+    session, other = await world.create(), await world.create()
+    world.lanes.deaths = [("died", True), ("died", False), ("hung", False)]
+    assert await world.track(session) == 1
+    world.lanes.deaths = [("died", True)]
+    assert await world.track(session) == 2
+    # The frame, then a replayed one, then the frame again: each only once in a row.
+    world.lanes.deaths = [("died", True)]
+    assert await world.track(other) == 1
+
+    async def die_of_tracking(key: str, request: Buffers) -> bytes:
+        if key == session.id and decode_call(memoryview(b"".join(request)))[2].get("seq") == 3:
+            world.lanes.deaths = [("died", True)]
+        return await Recording.call(world.lanes, key, request)
+
+    world.lanes.call = die_of_tracking  # type: ignore[method-assign]
+    with pytest.raises(ProblemError, match="frame 3 ended its worker twice"):
+        await world.track(session)
+    with pytest.raises(ProblemError, match="frame 3 ended its worker twice"):
+        world.book.find("me", session.id)
+    assert world.book.find("me", other.id) is other
+
+
+async def test_an_operation_that_is_broken_off_has_not_happened() -> None:
+    world = Keeping(checkpoint_every_frames=100)
+    session = await world.create()
+    session.lane._due_frames = 100
+    await world.track(session)
+    tracking = asyncio.create_task(world.track(session))
+    await asyncio.sleep(0)
+    tracking.cancel()
+    await asyncio.gather(tracking, return_exceptions=True)
+    world.lanes.ops.clear()
+    await world.track(session)
+    assert world.lanes.ops == [("create", None), ("track", 1), ("track", 3)]
+
+
+async def test_a_session_without_a_lane_refuses_in_time_and_stays() -> None:
+    world = Keeping(recovery_timeout_s=0.02)
+    session = await world.create()
+    world.lanes.keys.clear()
+    regain = world.lanes.regain
+
+    async def never(key: str) -> str:
+        await asyncio.sleep(60)
+        raise AtCapacity
+
+    world.lanes.regain = never  # type: ignore[method-assign]
+    with pytest.raises(ProblemError) as refused:
+        await world.track(session)
+    assert refused.value.code == "at-capacity"
+    assert refused.value.members["retry_after_s"] > 0
+    world.lanes.regain = regain  # type: ignore[method-assign]
+    assert await world.track(session) == 2
+
+
+def test_a_closed_journal_keeps_nothing() -> None:
+    budget = Budget(10)
+    journal = Journal(budget)
+    journal.add(Operation("create", {}, b"first"))
+    journal.add(Operation("track", {"seq": 1}, b"second"))
+    assert budget.spent
+    journal.close()
+    journal.add(Operation("track", {"seq": 2}, b"third"))
+    assert (budget.checkpoints, budget.frames, journal.base, journal.since) == (0, 0, None, [])
+
+
+async def test_the_places_of_the_lost_are_kept() -> None:
+    """In the lane that comes for the lost one; elsewhere only while that one keeps dying."""
+    pool = LanePool(2, 3, {}, deadline_s=1, start_timeout_s=1, max_rss_bytes=1 << 40)
+    for lane in pool._lanes:
+        lane.ready = True
+    for key in "abcd":
+        pool.reserve(key)
+    lost = pool._homes["a"]
+    assert sorted(lost.keys) == ["a", "c"]
+    began: list[LaneProcess] = []
+    pool._begin = lambda lane, wait_s=0.0: _noted(began, lane)  # type: ignore[method-assign,assignment]
+    lost.lost, lost.ready = True, False
+    pool._lost(lost, "died")
+    waiting = [asyncio.create_task(pool.regain(key)) for key in "ac"]
+    pool.reserve("e")
+    with pytest.raises(AtCapacity):
+        pool.reserve("f")
+    await asyncio.sleep(0)
+    fresh = pool._lanes[lost.number]
+    assert began == [fresh]
+    assert not pool.holds("a")
+    fresh.ready = True
+    pool._ready(fresh)
+    assert await asyncio.gather(*waiting) == ["died", "died"]
+    assert sorted(fresh.keys) == ["a", "c"]
+    pool.reserve("f")
+    pool.release("e")
+    for _ in range(4):  # keeps dying
+        pool._lanes[fresh.number].ready = False
+        pool._lost(pool._lanes[fresh.number], "died")
+    assert pool.status()[fresh.number].failing
+    assert await pool.regain("a") == "died"
+    assert pool._homes["a"] is not pool._lanes[fresh.number]
+    gone = asyncio.create_task(pool.regain("c"))
+    await asyncio.sleep(0)
+    pool.release("c")
+    with pytest.raises(LaneLost, match="released"):
+        await gone
+
+
+async def _noted(began: list[LaneProcess], lane: LaneProcess) -> None:
+    began.append(lane)
+
+
+def test_a_long_value_is_not_copied() -> None:
+    for size in (10, 70_000, 200_000):
+        payload = encode_reply(None, b"x" * size)
+        message = b"".join(framed(7, [payload]))
+        splitter = Splitter()
+        heard = [reply for start in range(0, len(message), 65_536) for reply in splitter.feed(message[start:][:65_536])]
+        assert [(call, bytes(payload)) for call, payload in heard] == [(7, payload)]
+        code, value = decode_reply(heard[0][1])
+        assert (code, bytes(value)) == (None, b"x" * size)
+        assert isinstance(value, memoryview) == (size > 65_535)
+        again = list(splitter.feed(message[:20]))
+        assert again == []
+
+
+def saved(sid: str, seq: int, entries: list[int], first: int = 0, whole: bool = False) -> Saved:
+    base = Operation("revive", {}, b"state of %d" % seq)
+    return Saved(sid, "me", {"seq": seq}, base, [(n, b"entry") for n in entries], first, whole)
+
+
+def reopened(folder: Path) -> tuple[Vault, list[Saved]]:
+    vault = Vault(folder, Metrics())
+    vault.open()
+    return vault, vault.take()[0]
+
+
+def test_the_newest_state_is_on_disk_with_the_whole_past(tmp_path: Path) -> None:
+    vault, found = reopened(tmp_path)
+    assert found == []
+    vault.save(saved("a", 2, [0, 1, 2]))
+    vault.save(saved("b", 1, [0, 1]))
+    vault.save(saved("a", 5, [2, 3, 4, 5], first=1, whole=True))
+    vault.forget("b")
+    assert vault.flush(10)
+    vault.close()
+    vault, (one,) = reopened(tmp_path)
+    assert (one.id, one.owner, one.base.data, one.whole) == ("a", "me", b"state of 5", True)
+    assert [seq for seq, _ in one.entries] == [1, 2, 3, 4, 5]
+    vault.close()
+    vault, (one,) = reopened(tmp_path)
+    assert not one.whole  # a process had it, and did not say that nothing happened
+    vault.close()
+
+
+def test_a_disk_that_fails_for_a_while(tmp_path: Path) -> None:
+    """What could not be written is written later, and counted."""
+    vault, _ = reopened(tmp_path)
+    assert vault._db is not None
+    vault._db.execute("PRAGMA max_page_count=1")
+    vault._db.execute("CREATE TEMP TRIGGER full BEFORE INSERT ON session BEGIN SELECT RAISE(FAIL, 'disk full'); END")
+    vault.save(saved("a", 1, [0, 1]))
+    give_up = time.monotonic() + 10
+    while b"mfcmt_state_write_failures_total 1.0" not in text(vault._metrics) and time.monotonic() < give_up:
+        time.sleep(0.01)
+    vault.save(saved("a", 2, [1, 2]))
+    vault._db.execute("DROP TRIGGER full")
+    assert vault.flush(20)
+    vault.close()
+    vault, (one,) = reopened(tmp_path)
+    assert one.base.data == b"state of 2"
+    assert [seq for seq, _ in one.entries] == [0, 1, 2]
+    vault.close()
+
+
+def test_what_is_no_state_is_told(tmp_path: Path) -> None:
+    (tmp_path / FILE).write_bytes(b"not a database" * 1000)
+    with pytest.raises(BadState, match="move it away"):
+        Vault(tmp_path, Metrics()).open()
+    assert (tmp_path / FILE).read_bytes().startswith(b"not a database")
+    (tmp_path / FILE).unlink()
+    with sqlite3.connect(tmp_path / FILE) as db:
+        db.execute("PRAGMA user_version = 7")
+    with pytest.raises(BadState, match="version 7"):
+        Vault(tmp_path, Metrics()).open()
+    with pytest.raises(BadState, match="able to write"):
+        Vault(tmp_path / FILE, Metrics()).open()
+
+
+def test_settings_of_recovery() -> None:
+    assert Settings().checkpoint_every_frames == 30
+    for wrong in ({"checkpoint_every_frames": 0}, {"max_replay_bytes": 1}, {"max_recovery_bytes": 1}):
+        with pytest.raises(ValueError):
+            Settings(**wrong)

@@ -1,0 +1,114 @@
+"""What a lane can still do once it has given up the rest: nothing that a stranger's image could make use of."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+
+from service.lanes.confine import MAX_OPEN_FILES
+from service.load.clips import Clip
+from service.load.own import OwnServer
+from service.load.usage import server_processes
+from tests.conftest import require
+
+from .conftest import Serve
+
+SECRETS = ("key-of-the-first-tenant", "secret-that-signs-snapshots", "key-of-the-operator")
+# Each is tried in a process that has confined itself; what it prints is the name of the refusal.
+ATTEMPTS = {
+    "write a file": "open(HERE + '/new', 'w')",
+    "append to a file": "open(HERE + '/there', 'a')",
+    "remove a file": "os.remove(HERE + '/there')",
+    "read a secret": "open(HERE + '/there').read()",
+    "read its own environment": "open('/proc/self/environ').read()",
+    "read the front's environment": "open(f'/proc/{os.getppid()}/environ').read()",
+    "read the front's memory": "open(f'/proc/{os.getppid()}/mem', 'rb').read(1)",
+    "connect": "socket.create_connection(('127.0.0.1', PORT), 5)",
+    "send a datagram": "socket.socket(socket.AF_INET, socket.SOCK_DGRAM).sendto(b'x', ('127.0.0.1', 9))",
+    "run a program": "os.execv('/bin/true', ['true'])",
+    "signal the front": "os.kill(os.getppid(), 0)",
+    "get the rights back": "os.setuid(0) if os.getuid() else os.setgroups([0])",
+}
+CODE = """
+import json, os, socket, sys, encodings.idna
+from service.lanes.confine import confine
+HERE, PORT = sys.argv[1], int(sys.argv[2])
+told = {"confined": confine()}
+for name, attempt in json.loads(sys.argv[3]).items():
+    try:
+        exec(attempt)
+        told[name] = "done"
+    except OSError as refused:
+        told[name] = type(refused).__name__
+import wsgiref.headers
+told["use a library"] = "done"
+print(json.dumps(told))
+"""
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory: pytest.TempPathFactory, server: OwnServer) -> dict[str, object]:
+    """What became of each attempt."""
+    here = tmp_path_factory.mktemp("confined")
+    (here / "there").write_text("secret")
+    command = [sys.executable, "-c", CODE, str(here), str(server.port), json.dumps(ATTEMPTS)]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert run.returncode == 0, run.stderr
+    answers: dict[str, object] = json.loads(run.stdout)
+    assert (here / "there").read_text() == "secret"
+    assert not (here / "new").exists()
+    return answers
+
+
+@pytest.mark.parametrize("attempt", ATTEMPTS)
+def test_a_confined_process_cannot(told: dict[str, object], attempt: str) -> None:
+    confined = told["confined"]
+    assert isinstance(confined, list)
+    needed = ["no-capabilities"] if attempt == "get the rights back" else ["landlock-7", "landlock-6"]
+    require(sys.platform == "linux" and set(needed) & set(confined), f"this kernel gives {confined}")
+    assert told[attempt] in ("PermissionError", "OSError", "ConnectionRefusedError"), attempt
+
+
+def test_what_a_lane_needs_stays(told: dict[str, object]) -> None:
+    assert told["use a library"] == "done"
+
+
+async def test_every_lane_is_confined(serve: Serve, clip: Clip) -> None:
+    """As the system sees it; and no lane was ever told a secret."""
+    require(sys.platform == "linux", "confinement is Linux's")
+    key, signing, admin = SECRETS
+    wire = serve({"X-API-Key": key}, lanes=2, api_keys=key, signing_keys=signing, admin_key=admin)
+    roles = server_processes(wire.server.pid)
+    lanes = [pid for role, pid in roles.items() if role.startswith("lane")]
+    assert len(lanes) == 2
+    for pid in lanes:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+        status = {name: value.strip() for name, _, value in (line.partition(":") for line in lines)}
+        assert status["NoNewPrivs"] == "1"
+        assert int(status["CapEff"], 16) == 0
+        limits = Path(f"/proc/{pid}/limits").read_text()
+        rows = {line[:26].strip(): line[26:].split()[:2] for line in limits.splitlines()[1:]}
+        assert rows["Max open files"] == [str(MAX_OPEN_FILES)] * 2
+        assert rows["Max processes"] == rows["Max core file size"] == ["0", "0"]
+        assert not [file for file in psutil.Process(pid).open_files() if file.fd > 2]
+        assert not psutil.Process(pid).net_connections("inet")
+    for role, pid in roles.items():
+        if role != "front":
+            environment = Path(f"/proc/{pid}/environ").read_bytes().decode()
+            assert "MFCMT_" not in environment
+            assert not any(secret in environment for secret in SECRETS)
+    told = [json.loads(line) for line in wire.server.log.splitlines() if '"lane ready"' in line]
+    assert len(told) >= 2
+    for record in told:
+        assert {"limits", "no-new-privileges"} <= set(record["confined"])
+        if "no-network" in record["confined"]:
+            spaces = {os.readlink(f"/proc/{pid}/ns/net") for pid in (*lanes, wire.server.pid)}
+            assert len(spaces) == 3
+    session = await wire.create(clip.frames[0], clip.box)
+    assert (await wire.track(session["id"], clip.frames[1])).status_code == 200

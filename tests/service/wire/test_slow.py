@@ -1,0 +1,166 @@
+"""Silent, slow and crowded connections on bare sockets: each has its time, and the others do not notice."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import time
+from typing import Any
+
+import httpx2
+import psutil
+import pytest
+from websockets.exceptions import InvalidStatus
+
+from service.load.clips import Clip
+
+from .conftest import Serve, Wire
+
+HOST = b"Host: service\r\n"
+# Ample on a busy machine, and far below what an unbounded wait would be.
+PATIENCE_S = 30.0
+Pair = tuple[asyncio.StreamReader, asyncio.StreamWriter]
+
+
+async def dial(wire: Wire, sent: bytes = b"") -> Pair:
+    reader, writer = await asyncio.open_connection("127.0.0.1", wire.server.port)
+    writer.write(sent)
+    return reader, writer
+
+
+async def ended(pair: Pair) -> bytes:
+    """All that comes until the server ends the connection."""
+    reader, writer = pair
+    received = b""
+    try:
+        async with asyncio.timeout(PATIENCE_S):
+            while data := await reader.read(65536):
+                received += data
+    except ConnectionError:
+        pass
+    writer.close()
+    return received
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        b"",
+        b"GET /livez HT",
+        b"GET /livez HTTP/1.1\r\n" + HOST + b"X-A: b\r\n",
+        b"GET /livez HTTP/1.1\r\n" + HOST + b"\r\nGET /livez HTTP/1.1\r\nHo",
+        b"POST /v1/sessions HTTP/1.1\r\n" + HOST + b"Content-Type: application/json\r\nContent-Length: 50\r\n\r\n{",
+        b"GET /v1/sessions/x/stream HTTP/1.1\r\n" + HOST + b"Upgrade: websocket\r\nConnection: Upgrade\r\n",
+    ],
+    ids=["silent", "request line", "headers", "second head", "body", "handshake"],
+)
+async def test_a_connection_that_stops_midway_is_ended(serve: Serve, sent: bytes) -> None:
+    wire = serve(head_timeout_s=0.5, body_timeout_s=0.5)
+    await ended(await dial(wire, sent))
+    assert (await wire.http.get("/livez")).status_code == 200
+    assert "Traceback" not in wire.server.log
+
+
+async def trickled_s(pair: Pair) -> float:
+    """How long the server takes a byte now and then."""
+    reader, writer = pair
+    began = time.monotonic()
+    with contextlib.suppress(ConnectionError):
+        while not reader.at_eof() and time.monotonic() - began < PATIENCE_S:
+            writer.write(b"a")
+            await writer.drain()
+            await asyncio.sleep(0.05)
+    writer.close()
+    return time.monotonic() - began
+
+
+async def test_a_head_in_drops_has_one_time_for_all(serve: Serve) -> None:
+    """Each byte in time, the whole never."""
+    wire = serve(head_timeout_s=1.0)
+    assert await trickled_s(await dial(wire, b"GET /livez HTTP/1.1\r\nX-A: ")) < PATIENCE_S
+
+
+async def test_a_body_that_nobody_reads_has_its_time_too(serve: Serve) -> None:
+    """The call is answered at once; what trickles in behind it does not keep the connection."""
+    wire = serve(head_timeout_s=1.0)
+    pair = await dial(wire, b"GET /livez HTTP/1.1\r\n" + HOST + b"Content-Length: 1000000\r\n\r\n")
+    assert b"200 OK" in await pair[0].read(1000)
+    assert await trickled_s(pair) < PATIENCE_S
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        b"".join(b"X-%d: %s\r\n" % (n, b"a" * 1000) for n in range(100)),
+        b"X-A: " + b"a" * 1_000_000,
+        b"X-A\x00: b\r\n\r\n",
+        b"Content-Length: abc\r\n\r\n",
+        b"Content-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n",
+    ],
+    ids=["many headers", "endless header", "control character", "length", "smuggling"],
+)
+async def test_a_bad_head_is_a_problem(serve: Serve, head: bytes) -> None:
+    wire = serve()
+    received = await ended(await dial(wire, b"GET /livez HTTP/1.1\r\n" + HOST + head))
+    if received:  # a reset may overtake the answer while we are still sending
+        status, _, rest = received.partition(b"\r\n")
+        assert status == b"HTTP/1.1 400 Bad Request"
+        assert b"application/problem+json" in rest
+        assert json.loads(rest.partition(b"\r\n\r\n")[2])["code"] == "bad-request"
+    assert (await wire.http.get("/livez")).status_code == 200
+
+
+async def test_who_does_not_read_the_answer_is_cut(serve: Serve, clip: Clip) -> None:
+    """A large answer stays in our memory only for as long as it is being read."""
+    wire = serve(send_timeout_s=0.5, max_frame_bytes=16 << 20)
+    frame = _padded(clip.frames[0], 12 << 20)
+    sid = (await wire.create(frame, clip.box))["id"]
+    reader, writer = await asyncio.open_connection("127.0.0.1", wire.server.port, limit=4096)
+    writer.write(b"GET /v1/sessions/%s/snapshot HTTP/1.1\r\n" % sid.encode() + HOST + b"\r\n")
+    await asyncio.wait_for(reader.read(100), PATIENCE_S)
+    await wire.http.aclose()
+    assert _connections(wire) >= 1
+    async with asyncio.timeout(PATIENCE_S):
+        while _connections(wire):
+            await asyncio.sleep(0.1)
+    writer.close()
+
+
+def _padded(jpeg: bytes, size: int) -> bytes:
+    """The same image with comments that nobody looks at."""
+    comment = b"\xff\xfe\xff\xff" + bytes(0xFFFD)
+    return jpeg[:2] + comment * (size // len(comment)) + jpeg[2:]
+
+
+def _connections(wire: Wire) -> int:
+    """Established connections of the front."""
+    told = psutil.Process(wire.server.pid).net_connections("tcp")
+    return sum(connection.status == psutil.CONN_ESTABLISHED for connection in told)
+
+
+async def test_too_many_connections_are_told_so(serve: Serve, clip: Clip) -> None:
+    """A problem with the time to wait, for calls and handshakes; probes are answered; far too many are cut."""
+    wire = serve(max_connections=6, head_timeout_s=PATIENCE_S)
+    sid = (await wire.create(clip.frames[0], clip.box))["id"]
+    async with wire.stream(sid) as stream:
+        silent = [await dial(wire) for _ in range(6)]
+        async with httpx2.AsyncClient(base_url=wire.server.url, timeout=PATIENCE_S) as late:
+            response = await late.get("/v1/sessions")
+            assert (response.status_code, response.json()["code"]) == (503, "at-capacity")
+            assert int(response.headers["Retry-After"]) >= 1
+            assert response.headers["Connection"] == "close"
+            assert (await late.get("/livez")).status_code == 200
+        with pytest.raises(InvalidStatus) as refused:
+            async with wire.stream(sid, takeover="true"):
+                pass
+        assert refused.value.response.status_code == 503
+        many: list[Any] = [await dial(wire) for _ in range(12)]
+        assert await ended(many[-1]) == b""
+        await stream.frame(clip.frames[1])  # who is there already is served
+        await stream.hear("result")
+        for _, writer in silent + many:
+            writer.close()
+    async with asyncio.timeout(PATIENCE_S):
+        while (await wire.http.get("/v1/sessions")).status_code != 200:
+            await asyncio.sleep(0.05)
