@@ -24,8 +24,8 @@ if any("forkserver" in argument for argument in sys.orig_argv):
     from service.lanes import preload, store
     from mfcmt_core import MFCMT
     import mmap, os, signal, time
+    grown = mmap.mmap(-1, 1)  # shared by all lanes
     handle, update = store.Store.handle, MFCMT.update
-    grown = mmap.mmap(-1, 1)  # shared with all lanes, which may not write files
 
     def misbehave(self, op, key, args, data):
         if op in ("create", "track") and data.endswith({POISON!r}):
