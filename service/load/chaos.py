@@ -203,9 +203,10 @@ class _Run:
         os.kill(self._server.pid, how)
         while self._server.exit_code is None:
             await asyncio.sleep(0.01)
+        gone = time.monotonic()
         await asyncio.to_thread(self._server.start)
-        await self._until_all_go_on(begun)
-        self._count(kind, begun, "the service", self._streams)
+        await self._until_all_go_on(gone)
+        self._count(kind, begun, "the service", self._streams, gone)
 
     async def _pause(self) -> None:
         await asyncio.sleep(self._random.uniform(*PAUSE_S))
@@ -217,8 +218,9 @@ class _Run:
                 raise TimeoutError(f"a stream has had no result for {PATIENCE_S:g} s")
             await asyncio.sleep(0.005)
 
-    def _count(self, kind: str, begun: float, where: str, hit: list[Stream]) -> None:
-        seconds = [stream.next_result(begun) - begun for stream in hit]
+    def _count(self, kind: str, begun: float, where: str, hit: list[Stream], gone: float | None = None) -> None:
+        """``gone`` is when the old process, which may still have answered, was no more."""
+        seconds = [stream.next_result(gone or begun) - begun for stream in hit]
         self._faults[kind] += 1
         self._seconds[kind] += seconds
         self._say(f"{kind} on {where}: {len(hit)} streams go on, the last after {max(seconds, default=0):.3f} s")
