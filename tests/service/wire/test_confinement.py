@@ -15,7 +15,7 @@ from service.lanes.confine import MAX_OPEN_FILES
 from service.load.clips import Clip
 from service.load.own import OwnServer
 from service.load.usage import server_processes
-from tests.conftest import require
+from tests.conftest import ROOT, require
 
 from .conftest import Serve
 
@@ -77,6 +77,21 @@ def test_a_confined_process_cannot(told: dict[str, object], attempt: str) -> Non
 
 def test_what_a_lane_needs_stays(told: dict[str, object]) -> None:
     assert told["use a library"] == "done"
+
+
+def test_a_kernel_that_was_forgotten_is_compiled_in_memory(tmp_path: Path) -> None:
+    """What cannot be kept on disk is no fault."""
+    (tmp_path / "forgotten.py").write_text(
+        "from mfcmt_core.kernels._jit import kernel\n@kernel\ndef add(x, y):\n    return x + y\n"
+    )
+    code = "from forgotten import add; from service.lanes.confine import confine; confine(); print(add(20, 22))"
+    path = os.pathsep.join((str(tmp_path), str(ROOT)))
+    environment = os.environ | {"PYTHONPATH": path}
+    run = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert (run.returncode, run.stdout.strip()) == (0, "42"), run.stderr
+    assert not list(tmp_path.rglob("*.nbc"))
 
 
 async def test_every_lane_is_confined(serve: Serve, clip: Clip) -> None:
