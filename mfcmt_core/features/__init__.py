@@ -59,7 +59,7 @@ class FeatureStack:
             gray_cells(gray, self.window, block.start, out)
         if block := self.blocks.get("fhog"):
             magnitude = scratch("magnitude", (side, side))
-            orientation = scratch("orientation", (side, side), np.int32)
+            orientation = scratch("orientation", (side, side), np.uint8)
             histogram = scratch("cells", (n, SIGNED, n))
             gradients(gray, magnitude, orientation)
             histogram_cells(magnitude, orientation, scratch("rows", (4, SIGNED, n + 2)), histogram)

@@ -20,20 +20,21 @@ _BORDERS = tuple(np.float32(np.tan(np.radians(a))) for a in (10, 30, 50, 70))  #
 
 @kernel
 def direction(dx, dy):  # type: ignore[no-untyped-def]
-    """The nearest of 18 directions 20° apart, int32; 0 for no gradient."""
+    """The nearest of 18 directions 20° apart, uint8; 0 for no gradient. float32 all through, for full SIMD lanes."""
+    one, zero = np.float32(1), np.float32(0)
     x, y = abs(dx), abs(dy)
-    quarter = np.int32(y > _BORDERS[0] * x) + np.int32(y > _BORDERS[1] * x)
-    quarter += np.int32(y > _BORDERS[2] * x) + np.int32(y > _BORDERS[3] * x)
+    quarter = (one if y > _BORDERS[0] * x else zero) + (one if y > _BORDERS[1] * x else zero)
+    quarter += (one if y > _BORDERS[2] * x else zero) + (one if y > _BORDERS[3] * x else zero)
     turned = dy < 0  # by half a turn into the upper half plane
-    mirrored = dx > 0 if turned else dx < 0
-    half = np.int32(ORIENTATIONS) - quarter if mirrored else quarter
-    full = half + np.int32(ORIENTATIONS) if turned else half
-    return np.int32(0) if full == SIGNED else full
+    mirrored = (-dx if turned else dx) < 0
+    half = np.float32(ORIENTATIONS) - quarter if mirrored else quarter
+    full = half + np.float32(ORIENTATIONS) if turned else half
+    return np.uint8(np.int32(zero if full == np.float32(SIGNED) else full))
 
 
 @kernel
 def gradients(gray, magnitude, orientation):  # type: ignore[no-untyped-def]
-    """Central differences of ``gray`` (H, W) uint8 → ``magnitude`` float32 and signed ``orientation`` int32.
+    """Central differences of ``gray`` (H, W) uint8 → ``magnitude`` float32 and signed ``orientation`` uint8.
 
     The orientation is the nearest of 18 directions; the border repeats.
     """

@@ -80,7 +80,7 @@ def scale_histogram(samples, count, histogram):  # type: ignore[no-untyped-def]
     histogram[:] = 0
     fractions = (np.float32(0.625), np.float32(0.875), np.float32(0.125), np.float32(0.375))
     one = np.float32(1)
-    magnitude, orientation = np.empty(lanes, np.float32), np.empty(lanes, np.int32)
+    magnitude, orientation = np.empty(lanes, np.float32), np.empty(lanes, np.uint8)
     for y in range(height):
         above, row, below = samples[max(y - 1, 0)], samples[y], samples[min(y + 1, height - 1)]
         cy, lower = (y + 2) // 4, fractions[y % 4]  # votes go to cells cy - 1 and cy
