@@ -294,6 +294,8 @@ export class Stream {
   readonly encoder: "worker" | "main" | null;
   /** What the server said on attaching; null before. */
   readonly info: Ready | null;
+  /** The session's frame; null before the stream is attached. */
+  readonly size: Size | null;
   /** The targets as last told. */
   readonly targets: Target[];
   /** The part of the coming frames that is needed; null for none. */
