@@ -47,7 +47,7 @@ export class App {
     this.player = new Player({
       deliver: () => this.#deliver(),
       preview: () => this.#preview(),
-      changed: () => this.changed(),
+      changed: () => this.#moved(),
     });
     setInterval(() => this.tracking?.stream && this.view.figures(this.tracking.stream.stats, this.skipped), FIGURES_MS);
   }
@@ -304,6 +304,13 @@ export class App {
     const pills = { idle: ["Ready", "idle"], open: ["Ready", "idle"], starting: ["Starting…", "busy"], tracking: ["Tracking", "good"], ended: ["Stopped", "bad"] };
     connection(...pills[state]);
     this.#panels(true);
+  }
+
+  /** It plays, or rests. */
+  #moved() {
+    const { playing } = this.player;
+    if (this.state === "tracking" && !this.trouble.lost) connection(playing ? "Tracking" : "Paused", playing ? "good" : "idle");
+    this.changed();
   }
 
   #panels(now = false) {

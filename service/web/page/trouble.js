@@ -6,7 +6,7 @@ import { explain } from "./problems.js";
 const SAME_PROBLEM_MS = 3000;
 
 export class Trouble {
-  #lost = false;
+  lost = false;
   #last = { code: null, at: 0 };
 
   /** `clock()` gives the time shown, `askKey(error)` resolves to whether a key was given. */
@@ -18,14 +18,14 @@ export class Trouble {
   status({ status }) {
     if (status === "open") {
       connection("Tracking", "good");
-      if (!this.#lost) return;
-      this.#lost = false;
+      if (!this.lost) return;
+      this.lost = false;
       log.add(this.clock(), "Connection", "is back; tracking goes on");
       notice.hide();
     } else if (status === "resuming" || status === "draining") {
       connection("Reconnecting…", "busy");
-      if (this.#lost) return;
-      this.#lost = true;
+      if (this.lost) return;
+      this.lost = true;
       const text = status === "draining" ? "The server is being restarted." : "The network or the server broke off.";
       log.add(this.clock(), "Connection", "lost; trying again");
       notice.show({ title: "Reconnecting", text: `${text} Tracking goes on by itself.` }, { tone: "busy" });
@@ -42,7 +42,7 @@ export class Trouble {
 
   /** A run ended, and nobody wanted it. */
   ended(error, remedies) {
-    this.#lost = false;
+    this.lost = false;
     log.add(this.clock(), "Ended", explain(error).title, "lost");
     this.tell(error, remedies);
   }

@@ -89,6 +89,12 @@ def test_demo_refuses_what_does_not_fit(arguments: list[str], capsys: pytest.Cap
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
+@pytest.mark.parametrize("arguments", [["--box", "1,2,3,4"], ["--port", "70000"], ["folder"]])
+def test_the_page_of_the_demo_takes_no_source(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["demo", "--no-browser", *arguments]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
 def test_a_clip_runs_there_and_back() -> None:
     clip = Clip("c", [b"0", b"1", b"2"], (0, 0, 1, 1))
     assert b"".join(clip.frame(i) for i in range(9)) == b"012101210"
