@@ -12,15 +12,7 @@ import numpy.typing as npt
 from .config import MFCMTConfig
 from .geometry import CELL, Frame, Image, Rect
 from .kernels.hog import CHANNELS, SIGNED
-from .kernels.scale import (
-    learn_scales,
-    pack_quads,
-    respond_scales,
-    sample_scales,
-    scale_features,
-    scale_histogram,
-    scale_norms,
-)
+from .kernels.scale import learn_scales, respond_scales, scale_hog
 from .workspace import scratch
 
 LANES = 8
@@ -117,20 +109,25 @@ class ScaleModel:
         gray, (cx, cy), (fx, fy) = _gray_cut(frame, within, center, (w, h), largest, (self.width, self.height))
         lanes, side = len(self.lane_factors), len(self.sines)
         ny, nx = self.height // CELL, self.width // CELL
-        quads = scratch("quads", gray.shape, np.uint32)
-        samples = scratch("scale_samples", (self.height, self.width, lanes))
-        histogram = scratch("scale_histogram", (ny * nx + 1, SIGNED, lanes))
-        norms = scratch("scale_norms", (ny + 1, nx + 1, lanes))
         even = scratch("scale_even", (ny * nx * CHANNELS, side + 1))
         odd = scratch("scale_odd", (ny * nx * CHANNELS, side))
+        scale_hog(
+            gray,
+            np.float32(cx),
+            np.float32(cy),
+            self.lane_factors * np.float32(w / self.width / fx),
+            self.lane_factors * np.float32(h / self.height / fy),
+            2 * side + 1,
+            self.epsilon,
+            self.window,
+            scratch("quads", gray.shape, np.uint32),
+            scratch("scale_samples", (self.height, self.width, lanes)),
+            scratch("scale_histogram", (ny * nx + 1, SIGNED, lanes)),
+            scratch("scale_norms", (ny + 1, nx + 1, lanes)),
+            even,
+            odd,
+        )
         spectra = Spectra(scratch("scale_waves", (len(even), 2 * side)), scratch("scale_sums", (len(even),)))
-        step_x = self.lane_factors * np.float32(w / self.width / fx)
-        step_y = self.lane_factors * np.float32(h / self.height / fy)
-        pack_quads(gray, quads)
-        sample_scales(quads, np.float32(cx), np.float32(cy), step_x, step_y, samples)
-        scale_histogram(samples, 2 * side + 1, histogram)
-        scale_norms(histogram, self.epsilon, norms)
-        scale_features(histogram, norms, self.window, even, odd)
         # cell by cell: products too small for a BLAS to bring its threads to, which cost more than they save
         cells = (ny * nx, CHANNELS, -1)
         waves = spectra.waves.reshape(cells)

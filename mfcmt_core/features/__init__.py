@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ..config import MFCMTConfig
 from ..geometry import CELL, Image
 from ..kernels.cells import color_name_cells, gray_cells
-from ..kernels.hog import CHANNELS, SIGNED, gradients, histogram_cells, normalize_cells
+from ..kernels.hog import CHANNELS, SIGNED, hog_cells
 from ..workspace import scratch
 from .color_names import table
 
@@ -58,12 +58,18 @@ class FeatureStack:
         if block := self.blocks.get("gray"):
             gray_cells(gray, self.window, block.start, out)
         if block := self.blocks.get("fhog"):
-            magnitude = scratch("magnitude", (side, side))
-            orientation = scratch("orientation", (side, side), np.uint8)
-            histogram = scratch("cells", (n, SIGNED, n))
-            gradients(gray, magnitude, orientation)
-            histogram_cells(magnitude, orientation, scratch("rows", (4, SIGNED, n + 2)), histogram)
-            normalize_cells(histogram, self.window, self.epsilon, scratch("norms", (n + 1, n + 1)), block.start, out)
+            hog_cells(
+                gray,
+                self.window,
+                self.epsilon,
+                block.start,
+                scratch("magnitude", (side, side)),
+                scratch("orientation", (side, side), np.uint8),
+                scratch("rows", (4, SIGNED, n + 2)),
+                scratch("cells", (n, SIGNED, n)),
+                scratch("norms", (n + 1, n + 1)),
+                out,
+            )
         if block := self.blocks.get("color_names"):
             color_name_cells(patch, self.names, self.window, block.start, out)
         return out

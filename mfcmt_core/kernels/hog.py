@@ -154,3 +154,11 @@ def normalize_cells(histogram, window, epsilon, norms, first, out):  # type: ign
             target = out[cy, first + bins + half + k]
             for cx in range(cells_x):
                 target[cx] = TEXTURE * texture[k, cx] * win[cx]
+
+
+@kernel
+def hog_cells(gray, window, epsilon, first, magnitude, orientation, rows, histogram, norms, out):  # type: ignore[no-untyped-def]
+    """The whole of fHOG in one call; scratch as its parts want it: gradients, histogram, normalised planes."""
+    gradients(gray, magnitude, orientation)
+    histogram_cells(magnitude, orientation, rows, histogram)
+    normalize_cells(histogram, window, epsilon, norms, first, out)

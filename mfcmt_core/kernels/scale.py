@@ -183,6 +183,18 @@ def fold(values, even, odd):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def scale_hog(  # type: ignore[no-untyped-def]
+    gray, center_x, center_y, step_x, step_y, count, epsilon, window, quads, samples, histogram, norms, even, odd
+):
+    """From a grey picture to the features of every scale in one call; scratch as its parts want it."""
+    pack_quads(gray, quads)
+    sample_scales(quads, center_x, center_y, step_x, step_y, samples)
+    scale_histogram(samples, count, histogram)
+    scale_norms(histogram, epsilon, norms)
+    scale_features(histogram, norms, window, even, odd)
+
+
+@kernel
 def respond_scales(spectra, sums, mean, mean_sums, gain, response_f):  # type: ignore[no-untyped-def]
     """Equation 3 along scales: Σ over features of conj(mean) · spectrum, times ``gain``.
 

@@ -105,6 +105,19 @@ def test_direction_of_every_quarter():
     assert turns == [0, 0, 4, 9, 13]
 
 
+def test_hog_cells(gray):
+    """The parts in one call."""
+    patch = patch_of(gray, 32, 60)
+    window = np.random.default_rng(0).random((8, 15)).astype(np.float32)
+    magnitude, orientation = np.empty((32, 60), np.float32), np.empty((32, 60), np.uint8)
+    scratch = (np.empty((4, 18, 17), np.float32), np.empty((8, 18, 15), np.float32), np.empty((9, 16), np.float32))
+    out, expected = np.zeros((2, 8, 32, 15), np.float32)
+    hog.hog_cells(patch, window, np.float32(1), 1, magnitude, orientation, *scratch, out)
+    hog.normalize_cells(scratch[1], window, np.float32(1), scratch[2], 1, expected)
+    assert np.array_equal(out, expected)
+    close(scratch[1], reference.histogram_cells(magnitude, orientation))
+
+
 # --- colour ---
 
 
@@ -345,6 +358,24 @@ def test_scale_features(samples, epsilon):
     expected = reference.fold(reference.scale_features(cells_, epsilon, window), 8)
     np.testing.assert_allclose(even, expected[0], atol=1e-3)
     np.testing.assert_allclose(odd, expected[1], atol=1e-3)
+
+
+def test_scale_hog(gray):
+    """The parts in one call."""
+    cut = patch_of(gray, 60, 80)
+    step = np.linspace(0.8, 3.2, LANES, dtype=np.float32)
+    window, epsilon, center = np.ones(LANES, np.float32), np.float32(10), (np.float32(39.3), np.float32(31.7))
+    samples, histogram = np.empty((24, 16, LANES), np.float32), np.empty((25, 18, LANES), np.float32)
+    quads, norms = np.empty((60, 80), np.uint32), np.empty((7, 5, LANES), np.float32)
+    even, odd = np.empty((24 * 31, 9), np.float32), np.empty((24 * 31, 8), np.float32)
+    scale.scale_hog(cut, *center, step, step, 17, epsilon, window, quads, samples, histogram, norms, even, odd)
+    assert np.array_equal(quads, quads_of(cut))
+    np.testing.assert_allclose(samples, reference.sample_scales(cut, 39.3, 31.7, step, step, (24, 16)), atol=0.02)
+    assert np.array_equal(histogram, histogram_of(samples, 17))
+    expected_even, expected_odd = np.empty_like(even), np.empty_like(odd)
+    scale.scale_features(histogram, norms, window, expected_even, expected_odd)
+    np.testing.assert_allclose(even, expected_even, atol=1e-5)
+    np.testing.assert_allclose(odd, expected_odd, atol=1e-5)
 
 
 def test_fold():
