@@ -78,4 +78,5 @@ class _Cache:
         return own if own is not None else self._ready.load_overload(sig, target_context)
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        self._own.save_overload(sig, data)
+        with contextlib.suppress(OSError):  # a full disk, or a process that may not write any more
+            self._own.save_overload(sig, data)

@@ -19,6 +19,7 @@ const WORDS = {
   "attached-elsewhere": ["The session was taken over", "Another page follows it now.", "restart"],
   "connection-lost": ["The server cannot be reached", "Check the network, or whether the server still runs.", "restart"],
   "rate-limited": ["Too many frames", "The server takes fewer a second from this key.", "restart"],
+  "over-quota": ["This key has as much as it may have", "Close a session or a stream of it, then try again.", "again"],
   "bad-box": ["This box cannot be followed", "It is too small, or too much of it lies outside of the picture. Draw another."],
   "too-many-targets": ["No room for another target", "Remove one first."],
   "frame-too-large": ["The frames are too large", "Choose a smaller frame size in the settings.", "restart"],
