@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 FORMAT = "mfcmt-tracker"
 VERSION = 2
 PREVIOUS = 1
-"""Differs in the scale filter alone: half spectra of its numerator and denominator. Read, not written."""
+"""Held numerators in place of mean spectra, and knew one template filter and one look. Read, not written."""
 MAX_VALUE = 1e12
 """Of any array: far above what images give, and responses to it stay inside float32."""
 SIGNED = ("scale_waves",)
@@ -85,7 +85,8 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
     if document.get("version") not in (VERSION, PREVIOUS):
         raise BadSnapshot(f"version {document.get('version')!r} is not {VERSION} or {PREVIOUS}")
     try:
-        config = MFCMTConfig.from_dict(document["config"])
+        since = {"background_interval": 0, "doubt_threshold": 0.0} if document["version"] == PREVIOUS else {}
+        config = MFCMTConfig.from_dict(since | document["config"])
         width, height = (_integer(v, 1, MAX_FRAME_SIDE) for v in document["frame_size"])
         w, h = (_number(v, MIN_BOX_SIDE, 4 * MAX_FRAME_SIDE) for v in document["base_size"])
         x, y = (_number(v, 0, side) for v, side in zip(document["center"], (width, height), strict=True))
@@ -96,7 +97,7 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
             "learned": _integer(r["learned"], 0, 1 << 62),
             "unreliable_run": _integer(r["unreliable_run"], 0, 1 << 62),
             "lost": _boolean(r["lost"]),
-            "doubtful": _boolean(r["doubtful"]),
+            "doubtful": _boolean(r.get("doubtful", False)),
         }
         scale = _number(document["scale"], 1e-6, 1e10)
         state = State(
@@ -115,21 +116,16 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
 
 def restore(target: Target, state: State) -> None:
     """Fill a target built for ``state``'s sizes. Raises BadSnapshot where an array does not fit it."""
-    expected = _arrays(target)
-    sizes = target.sizes if state.version == PREVIOUS else None
-    if sizes:
-        expected = {name: array for name, array in expected.items() if not name.startswith("scale_")}
-        shape = (len(sizes.mean.sums), sizes.count // 2 + 1)
-        expected |= {
-            "scale_numerator": np.zeros(shape, np.complex64),
-            "scale_denominator": np.zeros(shape[1], np.float32),
-        }
+    previous = state.version == PREVIOUS
+    expected = _previous_arrays(target) if previous else _arrays(target)
     if set(expected) != set(state.arrays):
         raise BadSnapshot(f"the arrays are not {sorted(expected)}")
     for name, array in expected.items():
         _unpack(name, state.arrays[name], array)
-    if sizes:
-        sizes.adopt(expected["scale_numerator"], expected["scale_denominator"])
+    if previous and target.template and "numerator" in expected:
+        target.template.adopt(expected["numerator"])
+    if previous and target.sizes:
+        target.sizes.adopt(expected["scale_numerator"], expected["scale_denominator"])
     target.center, target.scale = state.center, state.scale
     for name, value in state.reliability.items():
         setattr(target.reliability, name, value)
@@ -150,6 +146,21 @@ def _arrays(target: Target) -> dict[str, npt.NDArray[Any]]:
         arrays |= {"foreground": c.foreground, "background": c.background}
     if s := target.sizes:
         arrays |= {"scale_waves": s.mean.waves, "scale_sums": s.mean.sums, "scale_energy": s.energy}
+    return arrays
+
+
+def _previous_arrays(target: Target) -> dict[str, npt.NDArray[Any]]:
+    """What the version before had in place of the means of spectra."""
+    arrays = _arrays(target)
+    if "mean" in arrays:
+        arrays["numerator"] = np.zeros_like(arrays.pop("mean"))
+    if s := target.sizes:
+        shape = (len(s.mean.sums), s.count // 2 + 1)
+        arrays = {name: array for name, array in arrays.items() if not name.startswith("scale_")}
+        arrays |= {
+            "scale_numerator": np.zeros(shape, np.complex64),
+            "scale_denominator": np.zeros(shape[1], np.float32),
+        }
     return arrays
 
 

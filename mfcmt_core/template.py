@@ -15,6 +15,9 @@ from .geometry import Image, SearchWindow
 from .kernels.template import energy, learn_filters, learn_spectra, respond_filters
 from .workspace import scratch
 
+LEAST_LABEL = 1e-6
+"""Of the label's largest frequency: below it there is nothing to divide by."""
+
 
 class TemplateModel:
     """One filter for each cue, or a single one for all of them together (``config.joint_filter``).
@@ -50,6 +53,11 @@ class TemplateModel:
         if self.interval:
             self.background = BackgroundAwareFilter(window, shape[0], self.label_f, config.regularization)
             self.names += ("background",)
+
+    def adopt(self, numerator: Spectra) -> None:
+        """Take over a mean that is given times the label's conjugate, as equation 2 has it."""
+        label = np.conj(self.label_f)
+        np.divide(numerator, label, out=self.mean, where=np.abs(label) > LEAST_LABEL * np.abs(label).max())
 
     def spectra(self, patch: Image) -> Spectra:
         """Half spectra of the windowed features of ``patch``, (channels, n, n // 2 + 1) complex64."""

@@ -80,14 +80,20 @@ def test_through_lost_and_back(grey):
 
 @pytest.mark.parametrize("scales", [33, 17, 21, 1])
 def test_the_version_before_is_read(scales, frames, clip):
-    """It held the scale filter as half spectra of numerator and denominator."""
-    tracker = MFCMT(DEFAULT.replace(num_scales=scales))
+    """It held numerators, of the scale filter as half spectra, and knew one template filter and one look."""
+    tracker = MFCMT(DEFAULT.replace(num_scales=scales, background_interval=0, doubt_threshold=0.0))
     for _ in tracker.track(frames[:13], clip.boxes[0]):
         pass
     document = msgpack.unpackb(tracker.to_bytes())
     document["version"] = 1
+    for name in ("background_interval", "doubt_threshold", "doubt_margin"):
+        del document["config"][name]
+    del document["reliability"]["doubtful"]
+    arrays, reach = document["arrays"], scales // 2
+    mean = arrays.pop("mean")
+    numerator = np.frombuffer(mean["data"], "<c8").reshape(mean["shape"]) * np.conj(tracker._target.template.label_f)
+    arrays["numerator"] = mean | {"data": numerator.astype("<c8").tobytes()}
     if scales > 1:
-        arrays, reach = document["arrays"], scales // 2
         waves, sums, energy = (
             np.frombuffer(packed["data"], np.float32).reshape(packed["shape"])
             for packed in (arrays.pop("scale_waves"), arrays.pop("scale_sums"), arrays.pop("scale_energy"))
