@@ -24,7 +24,8 @@ def test_ope_is_one_run_from_the_first_frame_on_the_true_box() -> None:
 
 
 def test_shifted_starts_are_three_passes() -> None:
-    assert [(r.key, r.start, r.box[0]) for r in shifted_starts(sequence(50))] == [
+    runs = shifted_starts(sequence(50))
+    assert [(r.key, r.start, r.box[0]) for r in runs] == [
         ("01", 0, 9),
         ("11", 10, 19),
         ("21", 20, 29),
