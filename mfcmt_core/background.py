@@ -51,15 +51,18 @@ class BackgroundAwareFilter:
         before = np.float32(0)
         for penalty in map(np.float32, PENALTIES):
             solve_background(mean, self.label, power, before, penalty, self.filters, unmasked)
-            self.filters[:] = self._masked(unmasked) / np.float32(penalty + self.regularization)
+            np.multiply(self._masked(unmasked), np.float32(1 / (penalty + self.regularization)), out=self.filters)
             before = penalty
 
     def _masked(self, spectra: Spectra) -> Spectra:
         """The spectra of what ``spectra`` have inside the target's box."""
-        waves: npt.NDArray[np.float32] = (self.rows_back @ spectra).view(np.float32)
-        inside = waves @ self.columns_back
-        masked: Spectra = self.rows @ (inside @ self.columns).view(np.complex64)
-        return masked
+        channels, n, half = spectra.shape
+        by_rows = scratch("background_rows", (n, channels, half), np.complex64)
+        by_rows[:] = spectra.transpose(1, 0, 2)  # one product for all channels
+        waves: npt.NDArray[np.float32] = (self.rows_back @ by_rows.reshape(n, -1)).view(np.float32)
+        inside = (waves.reshape(-1, 2 * half) @ self.columns_back) @ self.columns
+        masked: Spectra = self.rows @ inside.view(np.complex64).reshape(self.rows.shape[1], -1)
+        return masked.reshape(n, channels, half).transpose(1, 0, 2)
 
 
 def _middle(cells: int, side: float) -> npt.NDArray[np.int64]:
