@@ -10,7 +10,7 @@ from .geometry import CELL, Image, SearchWindow
 from .kernels.color import bin_gray, bin_pixels, box_means, learn_colors, look_up, tabulate
 from .workspace import scratch
 
-Bins = npt.NDArray[np.int32]
+Bins = npt.NDArray[np.uint16]
 
 BINS = 32
 """Bins a channel (section IV-A)."""
@@ -54,7 +54,8 @@ class ColorModel:
     def learn(self, bins: Bins, first: bool = False) -> None:
         """Move both histograms towards those of a patch centred on the target (equation 11)."""
         rate = np.float32(1) if first else self.rate
-        learn_colors(bins, self.inner, self.outer, rate, self.foreground, self.background)
+        counts = scratch("color_counts", (2, len(self.foreground)), np.int32)  # nobody else's: always zero
+        learn_colors(bins, self.inner, self.outer, rate, counts, self.foreground, self.background)
         self.refresh()
 
     def refresh(self) -> None:
@@ -63,7 +64,7 @@ class ColorModel:
 
     def bins(self, patch: Image) -> Bins:
         """The histogram bin of each pixel of ``patch`` (H, W[, 3]); scratch, until the next patch of its size."""
-        bins = scratch("bins", patch.shape[:2], np.int32)
+        bins = scratch("bins", patch.shape[:2], np.uint16)
         (bin_gray if self.grey else bin_pixels)(patch, bins)
         return bins
 

@@ -95,6 +95,14 @@ class ScaleModel:
         rate = np.float32(1) if first else self.rate
         learn_scales(spectra.waves, spectra.sums, rate, self.mean.waves, self.mean.sums, self.energy)
 
+    def adopt(self, numerator: npt.NDArray[np.complex64], denominator: npt.NDArray[np.float32]) -> None:
+        """Take over a filter given as half spectra, (features, count // 2 + 1) and (count // 2 + 1,)."""
+        reach, side = self.count // 2, len(self.sines)
+        waves = numerator[:, 1:] / self.label_f[:reach]
+        self.mean.waves[:, :reach], self.mean.waves[:, side : side + reach] = waves.real, -waves.imag
+        self.mean.sums[:] = numerator[:, 0].real / self.label_f[-1]
+        self.energy[:reach], self.energy[-1] = denominator[1:], denominator[0]
+
     def clamp(self, scale: float, frame_size: tuple[int, int]) -> float:
         """``scale`` within what makes sense: a few pixels at least, the frame at most."""
         w, h = self.base_size

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 FORMAT = "mfcmt-tracker"
 VERSION = 2
+PREVIOUS = 1
+"""Differs in the scale filter alone: half spectra of its numerator and denominator. Read, not written."""
 MAX_VALUE = 1e12
 """Of any array: far above what images give, and responses to it stay inside float32."""
 SIGNED = ("scale_waves",)
@@ -33,6 +35,7 @@ MAX_BYTES = 16 << 20
 class State:
     """What a snapshot holds beside the configuration, checked except for the arrays."""
 
+    version: int
     base_size: tuple[float, float]
     grey: bool
     center: tuple[float, float]
@@ -78,8 +81,8 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
         raise BadSnapshot("not MessagePack") from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise BadSnapshot("not a tracker's snapshot")
-    if document.get("version") != VERSION:
-        raise BadSnapshot(f"version {document.get('version')!r} is not {VERSION}")
+    if document.get("version") not in (VERSION, PREVIOUS):
+        raise BadSnapshot(f"version {document.get('version')!r} is not {VERSION} or {PREVIOUS}")
     try:
         config = MFCMTConfig.from_dict(document["config"])
         width, height = (_integer(v, 1, MAX_FRAME_SIDE) for v in document["frame_size"])
@@ -94,7 +97,15 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
             "lost": _boolean(r["lost"]),
         }
         scale = _number(document["scale"], 1e-6, 1e10)
-        state = State((w, h), _boolean(document["grey"]), (x, y), scale, reliability, dict(document["arrays"]))
+        state = State(
+            document["version"],
+            (w, h),
+            _boolean(document["grey"]),
+            (x, y),
+            scale,
+            reliability,
+            dict(document["arrays"]),
+        )
     except (KeyError, TypeError, ValueError, BadConfig) as error:
         raise BadSnapshot(f"a field is missing or out of its range: {error}") from error
     return config, state, (width, height)
@@ -103,10 +114,20 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
 def restore(target: Target, state: State) -> None:
     """Fill a target built for ``state``'s sizes. Raises BadSnapshot where an array does not fit it."""
     expected = _arrays(target)
+    sizes = target.sizes if state.version == PREVIOUS else None
+    if sizes:
+        expected = {name: array for name, array in expected.items() if not name.startswith("scale_")}
+        shape = (len(sizes.mean.sums), sizes.count // 2 + 1)
+        expected |= {
+            "scale_numerator": np.zeros(shape, np.complex64),
+            "scale_denominator": np.zeros(shape[1], np.float32),
+        }
     if set(expected) != set(state.arrays):
         raise BadSnapshot(f"the arrays are not {sorted(expected)}")
     for name, array in expected.items():
         _unpack(name, state.arrays[name], array)
+    if sizes:
+        sizes.adopt(expected["scale_numerator"], expected["scale_denominator"])
     target.center, target.scale = state.center, state.scale
     for name, value in state.reliability.items():
         setattr(target.reliability, name, value)

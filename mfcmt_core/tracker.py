@@ -62,7 +62,7 @@ class Target:
             self.window.rect(center, self.scale),
             patch,
             self.template.spectra(pixels) if self.template else np.empty(0, np.complex64),
-            self.color.bins(pixels) if self.color else np.empty(0, np.int32),
+            self.color.bins(pixels) if self.color else np.empty(0, np.uint16),
         )
 
     def learn(self, seen: Observation, first: bool = False) -> None:

@@ -13,7 +13,7 @@ FORGOTTEN = 1e-20
 
 @kernel
 def bin_pixels(patch, bins):  # type: ignore[no-untyped-def]
-    """Index of each pixel's cell of the 32×32×32 RGB cube: ``bins`` (H, W) int32 ← ``patch`` (H, W, 3) BGR."""
+    """Index of each pixel's cell of the 32×32×32 RGB cube: ``bins`` (H, W) uint16 ← ``patch`` (H, W, 3) BGR."""
     height, width = bins.shape
     for y in range(height):
         for x in range(width):
@@ -26,7 +26,7 @@ def bin_pixels(patch, bins):  # type: ignore[no-untyped-def]
 
 @kernel
 def bin_gray(patch, bins):  # type: ignore[no-untyped-def]
-    """Index of each grey pixel among 32 bins: ``bins`` (H, W) int32 ← ``patch`` (H, W) uint8."""
+    """Index of each grey pixel among 32 bins: ``bins`` (H, W) uint16 ← ``patch`` (H, W) uint8."""
     height, width = bins.shape
     for y in range(height):
         for x in range(width):
@@ -34,31 +34,35 @@ def bin_gray(patch, bins):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def learn_colors(bins, inner, outer, rate, foreground, background):  # type: ignore[no-untyped-def]
+def learn_colors(bins, inner, outer, rate, counts, foreground, background):  # type: ignore[no-untyped-def]
     """Equation 11: the histograms move by ``rate`` towards those of the two regions of a patch, each of sum 1.
 
     ``inner`` and ``outer`` are ``(top, left, bottom, right)``: pixels inside ``inner`` are foreground, those
-    outside ``outer`` background, those between neither.
+    outside ``outer`` background, those between neither. ``counts`` (2, bins) int32 is zero, before and after.
     """
     height, width = bins.shape
-    keep, nothing = np.float32(1) - rate, np.float32(FORGOTTEN)
-    for i in range(foreground.size):  # what has faded is dropped before it gets denormal, which is slow
-        f, b = keep * foreground[i], keep * background[i]
-        foreground[i] = f if f > nothing else np.float32(0)
-        background[i] = b if b > nothing else np.float32(0)
-    f = max((inner[2] - inner[0]) * (inner[3] - inner[1]), 1)
-    b = max(height * width - (outer[2] - outer[0]) * (outer[3] - outer[1]), 1)
-    one_f, one_b = rate / np.float32(f), rate / np.float32(b)
+    count_f, count_b = counts[0], counts[1]
     for y in range(height):
         row = bins[y]
         if inner[0] <= y < inner[2]:
             for x in range(inner[1], inner[3]):
-                foreground[row[x]] += one_f
+                count_f[row[x]] += 1
         within = outer[0] <= y < outer[2]
         for x in range(outer[1] if within else width):
-            background[row[x]] += one_b
+            count_b[row[x]] += 1
         for x in range(outer[3] if within else width, width):
-            background[row[x]] += one_b
+            count_b[row[x]] += 1
+    area_f = max((inner[2] - inner[0]) * (inner[3] - inner[1]), 1)
+    area_b = max(height * width - (outer[2] - outer[0]) * (outer[3] - outer[1]), 1)
+    one_f, one_b = rate / np.float32(area_f), rate / np.float32(area_b)
+    keep, nothing = np.float32(1) - rate, np.float32(FORGOTTEN)
+    for i in range(foreground.size):  # what has faded is dropped before it gets denormal, which is slow
+        f = keep * foreground[i] + one_f * np.float32(count_f[i])
+        b = keep * background[i] + one_b * np.float32(count_b[i])
+        foreground[i] = f if f > nothing else np.float32(0)
+        background[i] = b if b > nothing else np.float32(0)
+        count_f[i] = 0
+        count_b[i] = 0
 
 
 @kernel
