@@ -68,6 +68,8 @@ export interface Ready {
   region_lag: number;
   next_seq: number;
   attachment: string;
+  /** After a breakdown of the service: the last frame that the session knows; null otherwise. */
+  lost_after: number | null;
 }
 
 export interface TargetsMessage {
@@ -121,7 +123,7 @@ export type ProblemCode =
   | "unsupported-media-type" | "session-not-found" | "target-not-found" | "attached-elsewhere" | "stale-frame"
   | "full-frame-needed" | "session-gone" | "frame-too-large" | "body-too-large" | "unsupported-image"
   | "frame-undecodable" | "frame-size-changed" | "bad-box" | "bad-region" | "bad-snapshot" | "too-many-targets"
-  | "over-credit" | "rate-limited" | "internal" | "at-capacity" | "draining" | "deadline-exceeded";
+  | "over-credit" | "over-quota" | "rate-limited" | "internal" | "at-capacity" | "draining" | "deadline-exceeded";
 
 /** The problem document of RFC 9457, as the server sends it. */
 export interface ProblemDocument {
@@ -269,9 +271,23 @@ export interface StatusChange {
   retryInMs: number | null;
 }
 
+/** A stream goes on after its connection broke. */
+export interface Resumed {
+  /** The last frame that the session knows. */
+  seq: number;
+  /** How long the stream was interrupted. */
+  downMs: number;
+  /**
+   * Null when nothing is lost. Else the service broke down: results above this number stand, but the trackers have
+   * forgotten what they learned from those frames.
+   */
+  lostAfter: number | null;
+}
+
 export interface StreamEvents {
   result: Result;
   status: StatusChange;
+  resumed: Resumed;
   /** A frame was refused; the stream goes on. */
   problem: MFCMTError;
   /** The targets after a control or a change over HTTP. */

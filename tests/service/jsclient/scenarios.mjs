@@ -46,6 +46,8 @@ const scenarios = {
       statuses.push(status);
       tell({ status, error: error?.code });
     });
+    const resumed = [];
+    stream.on("resumed", (told) => resumed.push(told));
     const results = [];
     for await (const result of stream) {
       results.push(result);
@@ -60,7 +62,7 @@ const scenarios = {
     await stream.closed;
     const info = await session.refresh();
     await session.close();
-    return { results, statuses, stats: stream.stats, seq: info.seq, size: session.info.size };
+    return { results, statuses, resumed, stats: stream.stats, seq: info.seq, size: session.info.size };
   },
 
   /** Frames as fast as they can be handed over, without waiting for anything. */

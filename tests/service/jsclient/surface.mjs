@@ -35,7 +35,7 @@ const instances = {
 };
 const inherited = new Set(["name", "message", "stack", "cause", "constructor"]);
 // The rest is between the client's own modules.
-const internal = { Client: ["timeoutMs", "key", "WebSocket", "streamUrl", "json", "call"] };
+const internal = { Client: ["timeoutMs", "key", "WebSocket", "streamUrl", "json", "call", "missed"] };
 
 const present = {};
 for (const [name, value] of Object.entries(client)) {

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import signal
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -140,26 +143,68 @@ async def test_takes_over_its_own_dead_connection(server: OwnServer, clip: Clip,
     assert told["stats"]["reconnects"] >= 1
 
 
-async def test_told_that_the_server_goes_away(own_server: Serve, clip: Clip, scenario: Scenario) -> None:
-    """`draining` is told, and a server that comes back without the session ends the stream with the reason."""
+class Restart:
+    """Ends a server when the tenth result is there, and starts it again."""
+
+    def __init__(self, server: OwnServer, how: signal.Signals) -> None:
+        self._server, self._how = server, how
+        self._task: asyncio.Task[None] | None = None
+
+    def heard(self, line: dict[str, Any]) -> None:
+        if line.get("results") == 10 and self._task is None:
+            self._task = asyncio.create_task(self._restart())
+
+    async def done(self) -> None:
+        assert self._task is not None
+        await self._task
+
+    async def _restart(self) -> None:
+        os.kill(self._server.pid, self._how)
+        while self._server.exit_code is None:
+            await asyncio.sleep(0.02)
+        await asyncio.to_thread(self._server.start)
+
+
+async def test_goes_on_through_a_restart(own_server: Serve, clip: Clip, scenario: Scenario, tmp_path: Path) -> None:
+    """Sessions outlive the process: it is told, every frame is answered, box for box."""
+    server = own_server(state_dir=tmp_path / "state")
+    restart = Restart(server, signal.SIGTERM)
+    told = await scenario("stream", server.url, restart.heard, stream={"mode": "lossless", "fps": 40})
+    await restart.done()
+    said = in_process(clip, [clip.box])
+    assert [r["targets"][0]["box"] for r in told["results"]] == [list(one[0].box) for one in said]
+    assert [resumed["lostAfter"] for resumed in told["resumed"]] == [None]
+    assert told["resumed"][0]["downMs"] > 0
+    order = [status for status in told["statuses"] if status != "connecting"]
+    assert order[:3] == ["open", "draining", "resuming"]
+    assert order[-2:] == ["open", "closed"]
+
+
+async def test_goes_on_after_a_breakdown(own_server: Serve, clip: Clip, scenario: Scenario, tmp_path: Path) -> None:
+    """kill -9: every frame is answered, and what is forgotten is told."""
+    server = own_server(state_dir=tmp_path / "state", checkpoint_every_frames=5)
+    restart = Restart(server, signal.SIGKILL)
+    told = await scenario("stream", server.url, restart.heard, stream={"mode": "lossless", "fps": 40})
+    await restart.done()
+    assert len(told["results"]) == len(clip.frames) - 1
+    (resumed,) = told["resumed"]
+    assert resumed["lostAfter"] in (None, resumed["seq"])
+
+
+async def test_told_that_the_server_went_away(own_server: Serve, scenario: Scenario) -> None:
+    """A server that comes back without the session ends the stream with the reason."""
     server = own_server(drain_grace_s=1.0)
     statuses: list[str] = []
-    stopping: list[Any] = []
+    restart = Restart(server, signal.SIGTERM)
 
     def heard(line: dict[str, Any]) -> None:
+        restart.heard(line)
         if "status" in line:
             statuses.append(line["status"])
-        if line.get("results") == 10 and not stopping:
-
-            async def restart() -> None:
-                await asyncio.to_thread(server.stop)
-                await asyncio.to_thread(server.start)
-
-            stopping.append(asyncio.create_task(restart()))
 
     with pytest.raises(AssertionError, match="session-not-found"):
         await scenario("stream", server.url, heard, stream={"mode": "lossless", "fps": 10})
-    await stopping[0]
+    await restart.done()
     assert [status for status in statuses if status in ("draining", "closed")] == ["draining", "closed"]
     assert "resuming" in statuses
 

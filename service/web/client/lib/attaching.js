@@ -98,7 +98,8 @@ export class Attaching {
       this.#ticketSpent = true;
       return ticket;
     }
-    return this.#client.key ? (await this.#client.ticket(this.#id)).ticket : null;
+    if (!this.#client.key) return null;
+    return (await this.#client.ticket(this.#id, undefined, { timeoutMs: this.#options.stallMs })).ticket;
   }
 
   /** Outside of browsers a refused handshake is an HTTP status at best, without its problem: ask for the reason. */

@@ -60,8 +60,13 @@ export class Client {
     } while (after !== null);
   }
 
-  ticket(id, ttlS) {
-    return this.json("POST", `${path(id)}/ticket`, asJson(ttlS === undefined ? {} : { ttl_s: ttlS }));
+  ticket(id, ttlS, more = {}) {
+    return this.json("POST", `${path(id)}/ticket`, { ...asJson(ttlS === undefined ? {} : { ttl_s: ttlS }), ...more });
+  }
+
+  /** The results after a `seq`, for a stream that was broken. */
+  async missed(id, after, more) {
+    return (await this.json("GET", `${path(id)}/trajectory?after=${after}`, more)).results;
   }
 
   capabilities() {
@@ -84,11 +89,11 @@ export class Client {
   }
 
   /** One HTTP call, repeated when the server cannot be reached and the call may be. */
-  async call(method, where, { headers, body, signal } = {}, read = (response) => response.arrayBuffer()) {
+  async call(method, where, { headers, body, signal, timeoutMs = this.timeoutMs } = {}, read = (response) => response.arrayBuffer()) {
     const attempts = method !== "POST" || headers?.["Idempotency-Key"] ? ATTEMPTS : 1;
     for (let attempt = 1; ; attempt += 1) {
       const limit = new AbortController();
-      const timer = setTimeout(() => limit.abort(), this.timeoutMs);
+      const timer = setTimeout(() => limit.abort(), timeoutMs);
       const abort = () => limit.abort();
       signal?.addEventListener("abort", abort);
       try {

@@ -9,6 +9,8 @@ export class Link {
   status = "connecting";
   /** The open connection, when the stream has taken it up. */
   connection = null;
+  /** The server will not read what is sent from now on; it closes when the rest is answered. */
+  holding = false;
   #attaching;
   #stream;
   #stallMs;
@@ -54,8 +56,9 @@ export class Link {
   }
 
   /** The server is going away and wants to be tried again after `pauseMs`. */
-  drain(pauseMs) {
+  drain(pauseMs, resumable) {
     this.#pauseMs = pauseMs;
+    this.holding = resumable;
     this.#become("draining");
   }
 
@@ -77,6 +80,7 @@ export class Link {
       return;
     }
     this.connection = connection;
+    this.holding = false;
     this.#watch(connection);
     this.#become("open");
     this.#stream.up();

@@ -207,7 +207,7 @@ export class Outbox {
 
   #hasRoom() {
     const { connection } = this.#link;
-    if (!connection || this.paused || this.#tell.rests()) return false;
+    if (!connection || this.#link.holding || this.paused || this.#tell.rests()) return false;
     const inFlight = this.#unanswered.size;
     if (this.#options.mode === "lossless") {
       // A cut is sure to cover what is needed only when the frame before it is answered.

@@ -42,6 +42,8 @@ export class Stream {
   #done = quiet(deferred());
   #error = null;
   #exhausted = false;
+  #brokenAt = 0;
+  #resumed = null;
   #lastSeq = 0;
 
   constructor(client, id, options) {
@@ -221,7 +223,7 @@ export class Stream {
         this.#outbox.forgetUpTo(session.seq); // without a key they cannot be had
       }
     }
-    if (this.info) this.#stats.reconnects += 1;
+    if (this.info) this.#resumed = { seq: session.seq, lostAfter: lostAfter(ready, this.#lastSeq) };
     this.info = ready;
     this.size = session.size;
     this.region = session.region;
@@ -231,18 +233,26 @@ export class Stream {
   }
 
   async #fetchMissed() {
-    const session = await this.#client.getSession(this.#id);
-    for (const result of await session.trajectory({ after: this.#lastSeq })) {
+    // What killed the stream may have left dead connections in the browser's pool too: do not wait long for them.
+    const timeoutMs = this.#options.stallMs;
+    for (const result of await this.#client.missed(this.#id, this.#lastSeq, { timeoutMs })) {
       this.#answer({ type: "result", dropped: 0, timing: null, ...result });
     }
   }
 
   #up() {
+    if (this.#resumed) {
+      this.#stats.reconnects += 1;
+      this.#events.emit("resumed", { ...this.#resumed, downMs: performance.now() - this.#brokenAt });
+    }
+    this.#resumed = null;
+    this.#brokenAt = 0;
     this.#outbox.look();
     this.#endIfDone();
   }
 
   #down(error) {
+    this.#brokenAt ||= performance.now();
     this.#controls.fail(error);
     this.#outbox.look();
   }
@@ -254,7 +264,7 @@ export class Stream {
     if (message.type === "result") this.#answer(message);
     else if (message.type === "targets") this.#retarget(message);
     else if (message.type === "error") this.#refuse(message);
-    else if (message.type === "draining") this.#link.drain(message.reconnect_in_s * 1000);
+    else if (message.type === "draining") this.#link.drain(message.reconnect_in_s * 1000, message.resumable);
     this.#outbox.look();
     this.#endIfDone();
   }
@@ -308,3 +318,6 @@ export class Stream {
     else this.#done.resolve();
   }
 }
+
+/** What a breakdown of the service took, if any of it had been told. */
+const lostAfter = ({ lost_after: known = null }, lastSeq) => (known !== null && known < lastSeq ? known : null);
