@@ -28,7 +28,7 @@ warmup: $(STAMP)  ## compile the kernels for this CPU (about a minute once, then
 serve: warmup  ## run the tracking service on http://127.0.0.1:8000
 	$(BIN)/mfcmt serve
 
-demo: warmup  ## stream a clip through a service of its own and show what comes back
+demo: warmup  ## open the page in the browser, with the sample clip running
 	$(BIN)/mfcmt demo
 
 test: warmup  ## run the tests

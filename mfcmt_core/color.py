@@ -7,10 +7,10 @@ import numpy.typing as npt
 
 from .config import MFCMTConfig
 from .geometry import CELL, Image, SearchWindow
-from .kernels.color import bin_gray, bin_pixels, box_means, count_colors, learn_lookup, look_up
+from .kernels.color import bin_gray, bin_pixels, box_means, learn_colors, look_up, tabulate
 from .workspace import scratch
 
-Bins = npt.NDArray[np.int32]
+Bins = npt.NDArray[np.uint16]
 
 BINS = 32
 """Bins a channel (section IV-A)."""
@@ -53,20 +53,18 @@ class ColorModel:
 
     def learn(self, bins: Bins, first: bool = False) -> None:
         """Move both histograms towards those of a patch centred on the target (equation 11)."""
-        new_f, new_b = scratch("new_f", self.foreground.shape), scratch("new_b", self.background.shape)
-        count_colors(bins, self.inner, self.outer, new_f, new_b)
         rate = np.float32(1) if first else self.rate
-        learn_lookup(new_f, new_b, rate, self.foreground, self.background, self.unseen, self.lookup)
+        counts = scratch("color_counts", (2, len(self.foreground)), np.int32)  # nobody else's: always zero
+        learn_colors(bins, self.inner, self.outer, rate, counts, self.foreground, self.background)
+        self.refresh()
 
     def refresh(self) -> None:
-        """Compute the look-up table again from the histograms."""
-        nothing = scratch("new_f", self.foreground.shape)
-        nothing[:] = 0
-        learn_lookup(nothing, nothing, np.float32(0), self.foreground, self.background, self.unseen, self.lookup)
+        """Compute the look-up table from the histograms."""
+        tabulate(self.foreground, self.background, self.unseen, self.lookup)
 
     def bins(self, patch: Image) -> Bins:
-        """The histogram bin of each pixel of ``patch`` (H, W[, 3]); scratch, until the next patch of its size."""
-        bins = scratch("bins", patch.shape[:2], np.int32)
+        """The histogram bin of each pixel of ``patch`` (H, W[, 3]), (H, W) uint16."""
+        bins = np.empty(patch.shape[:2], np.uint16)
         (bin_gray if self.grey else bin_pixels)(patch, bins)
         return bins
 

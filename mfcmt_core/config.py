@@ -40,10 +40,12 @@ class MFCMTConfig:
     """λ of equation 1, for normalised transforms."""
     output_sigma_factor: float = 1 / 16
     """Standard deviation of the label over √(wh) of the target."""
-    template_learning_rate: float = 0.01
+    template_learning_rate: float = 0.015
     """η_t of equation 11."""
     average: Literal["filter", "spectra"] = "spectra"
     """What equation 11 averages: W itself, or its numerator and denominator."""
+    background_interval: int = 4
+    """Learned frames from one training of the background-aware filter to the next; 0: there is no such filter."""
 
     # Statistical model (equations 4–7)
     color_histogram: bool = True
@@ -60,7 +62,7 @@ class MFCMTConfig:
     """How a response becomes a probability map: negatives clipped, minimum subtracted, or not at all."""
     sharpness: int = 1
     """Power, 1 or 2, that a map is raised to before it is normalised."""
-    statistical_weight: float = 1.5
+    statistical_weight: float = 3.0
     """Weight of the statistical map in the weighted equation 9; each template map has 1."""
 
     # Reliability and update (section III-C)
@@ -74,10 +76,14 @@ class MFCMTConfig:
     """Template and statistical peak must also exceed this part of their slow means over learned frames; 0: no test."""
     usual_frames: int = 100
     """Length of those slow means."""
-    lost_after: int = 15
+    lost_after: int = 30
     """Frames in a row that fail before the target counts as lost; 0 for never."""
     found_threshold: float = 0.6
     """A lost target is found again where both peaks exceed this part of their slow means."""
+    doubt_threshold: float = 0.6
+    """A template peak below this part of its slow mean has the tracker look at other places, too; 0: never."""
+    doubt_margin: float = 2.0
+    """How many times the template peak of another place must be to move there."""
 
     # Scale (Algorithm 1, line 8; DSST)
     num_scales: int = 33
@@ -109,11 +115,13 @@ class MFCMTConfig:
             hog_epsilon=1e-4,
             template_learning_rate=0.02,
             average="filter",
+            background_interval=0,
             probability="clip",
             sharpness=1,
             statistical_weight=1.0,
             usual_threshold=0.0,
             lost_after=0,
+            doubt_threshold=0.0,
         )
 
     @classmethod
@@ -160,6 +168,8 @@ class MFCMTConfig:
             raise BadConfig(f"features={self.features!r} are not distinct ones of {cues}")
         if not (self.color_histogram or set(self.features) & {"gray", "fhog"}):
             raise BadConfig("without colour histogram, gray or fhog nothing is left to track a grey target by")
+        if self.background_interval and self.average != "spectra":
+            raise BadConfig("the background-aware filter learns from the mean of spectra: average='spectra'")
         if self.num_scales % 2 == 0:
             raise BadConfig(f"num_scales={self.num_scales} is not odd")
         if self.scale_step ** (self.num_scales // 2) > MAX_ZOOM:
@@ -185,6 +195,7 @@ _RANGES: dict[str, tuple[type, float, float]] = {
     "output_sigma_factor": (float, 1e-3, 1),
     "template_learning_rate": (float, 0, 1),
     "foreground_fraction": (float, 0.05, 1),
+    "background_interval": (int, 0, 1_000_000),
     "histogram_learning_rate": (float, 0, 1),
     "unseen_likelihood": (float, 0, 1),
     "sharpness": (int, 1, 2),
@@ -196,6 +207,8 @@ _RANGES: dict[str, tuple[type, float, float]] = {
     "usual_frames": (int, 1, 1_000_000),
     "lost_after": (int, 0, 1_000_000),
     "found_threshold": (float, 0, 10),
+    "doubt_threshold": (float, 0, 1),
+    "doubt_margin": (float, 1, 1e3),
     "num_scales": (int, 1, 101),
     "scale_step": (float, 1.001, 1.5),
     "scale_learning_rate": (float, 0, 1),

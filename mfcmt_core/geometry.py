@@ -180,6 +180,15 @@ class SearchWindow:
         pixels = frame.sample((x, y, w, h), within, (size, size))
         return Patch(pixels, (x + w / 2, y + h / 2), (w / size, h / size))
 
+    def neighbours(
+        self, center: tuple[float, float], scale: float, frame_size: tuple[int, int]
+    ) -> list[tuple[float, float]]:
+        """Centres of the windows that lie half a window to each side, as far as they are in the frame."""
+        x, y = center
+        dx, dy = self.extent[0] * scale / 2, self.extent[1] * scale / 2
+        places = [(x - dx, y), (x + dx, y), (x, y - dy), (x, y + dy)]
+        return [(x, y) for x, y in places if 0 <= x <= frame_size[0] and 0 <= y <= frame_size[1]]
+
     def displaced(self, patch: Patch, displacement: tuple[float, float]) -> tuple[float, float]:
         """The place in the frame that lies ``displacement`` (x, y) cells from the patch's centre."""
         dx, dy = displacement

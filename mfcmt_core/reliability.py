@@ -43,6 +43,7 @@ class Reliability:
 
     ``usual`` holds slow means of the template and the statistical peak over frames that were learned from.
     The ten-frame means sink with a vanishing target and would call it reliable again; the slow ones remember.
+    ``doubtful`` says of the last frame that its template peak was too low wherever the tracker looked.
     """
 
     def __init__(self, config: MFCMTConfig) -> None:
@@ -52,6 +53,7 @@ class Reliability:
         self.learned = 0
         self.unreliable_run = 0
         self.lost = False
+        self.doubtful = False
 
     def judge(self, peaks: Peaks) -> Verdict:
         """The verdict on a frame, whose peaks join the history."""
@@ -75,6 +77,10 @@ class Reliability:
             self.lost = True
         status: Status = "lost" if self.lost else "tracking" if reliable else "uncertain"
         return Verdict(flags, scores, reliable and not self.lost, status)
+
+    def doubts(self, peaks: Peaks) -> bool:
+        """Whether the template peak is too low for the target to be surely there."""
+        return self._faint(peaks, self.config.doubt_threshold)[0]
 
     def learned_from(self, peaks: Peaks) -> None:
         """The models learned from a frame with these peaks."""

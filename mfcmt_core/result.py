@@ -40,7 +40,7 @@ class TrackResult:
     ``reliable`` are ``None`` on the frame that started the target. ``psr`` is the peak-to-sidelobe ratio of
     the fused map, 11×11 around the peak left out. ``updated`` says whether the models learned from this
     frame, ``scale`` is the size relative to the box given. ``maps`` holds the response maps by name
-    (``fused`` and one a cue; ``float32``, each of sum 1) where they were asked for.
+    (``fused``, one a model and one a cue; ``float32``, each of sum 1) where they were asked for.
     """
 
     box: Box

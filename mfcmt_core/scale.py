@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import sqrt
 
 import cv2
@@ -11,13 +12,11 @@ import numpy.typing as npt
 from .config import MFCMTConfig
 from .geometry import CELL, Frame, Image, Rect
 from .kernels.hog import CHANNELS, SIGNED
-from .kernels.scale import learn_scales, respond_scales, sample_scales, scale_hog
+from .kernels.scale import learn_scales, respond_scales, scale_hog
 from .workspace import scratch
 
-Spectra = npt.NDArray[np.complex64]
-
 LANES = 8
-"""Scales are padded to a multiple of this many SIMD lanes."""
+"""The scales to each side are padded to a multiple of this many SIMD lanes."""
 MAX_SAMPLE_SIDE = 64
 """Pixels: together with the area this bounds the cost for targets of any aspect."""
 MIN_SIDE = 5.0
@@ -26,16 +25,33 @@ OVERSAMPLING = 2.0
 """Pixels of the grey cut a sample of scale 1, at most: enough that the smallest scale does not alias."""
 
 
+@dataclass(frozen=True, slots=True)
+class Spectra:
+    """DFT over scales of each feature: M cosine and M sine sums, ``waves`` (features, 2 M) float32, and the sum.
+
+    M is the number of scales to each side, padded; ``sums`` (features,) float32 is frequency 0.
+    """
+
+    waves: npt.NDArray[np.float32]
+    sums: npt.NDArray[np.float32]
+
+
 class ScaleModel:
     """Finds the target's size among ``num_scales`` steps around the last one.
 
     One sample a scale: the target's box at that size, resized to at most ``scale_max_area`` pixels, as
     fHOG; the filter is the ridge regression of equation 1 along the axis of scales, with a Gaussian
-    label and a Hann window over it; numerator and denominator are running means.
+    label and a Hann window over it. Numerator and denominator are running means; the label is the same in
+    every frame, so that the numerator is kept without it.
+
+    Spectra count from the present scale, so that the symmetric label's is real. They are real arrays, see
+    :class:`Spectra`.
     """
 
     def __init__(self, config: MFCMTConfig, base_size: tuple[float, float]) -> None:
         n = config.num_scales
+        reach = n // 2
+        side = -(-reach // LANES) * LANES
         self.count = n
         self.rate = np.float32(config.scale_learning_rate)
         self.regularization = np.float32(config.scale_regularization)
@@ -43,35 +59,49 @@ class ScaleModel:
         self.base_size = base_size
         shrink = sqrt(config.scale_max_area / (base_size[0] * base_size[1]))
         self.width, self.height = (_sample_side(side * shrink) for side in base_size)
-        lanes = -(-n // LANES) * LANES
-        exponents = np.arange(n) - n // 2
-        self.factors = np.ones(lanes, np.float32)
-        self.factors[:n] = config.scale_step**exponents
-        self.window = np.zeros(lanes, np.float32)
-        self.window[:n] = np.hanning(n + 2)[1:-1]
-        # the DFT over scales as one matrix: n is small and odd, and a matrix product beats any transform
-        frequencies = np.arange(n // 2 + 1)
-        angles = 2 * np.pi * np.outer(np.arange(n), frequencies) / n
-        self.dft = np.zeros((lanes, 2 * len(frequencies)), np.float32)
-        self.dft[:n, ::2], self.dft[:n, 1::2] = np.cos(angles), -np.sin(angles)
-        label = np.exp(-0.5 * (exponents / (sqrt(n) * config.scale_sigma_factor)) ** 2)
-        self.label_f = np.fft.rfft(label).astype(np.complex64)
+        steps = np.arange(-reach, reach + 1)
+        self.factors = (config.scale_step ** steps.astype(float)).astype(np.float32)
+        distance = np.arange(1, side + 1)
+        lanes = np.concatenate([-distance, distance, [0], np.full(LANES - 1, side + 1)])  # as kernels.scale wants them
+        inside = abs(lanes) <= reach
+        self.lane_factors = np.where(inside, config.scale_step**lanes, 1).astype(np.float32)
+        self.window = np.where(inside, 0.5 + 0.5 * np.cos(np.pi * lanes / (reach + 1)), 0).astype(np.float32)
+        # n is small and odd: a matrix product beats any transform
+        angles = 2 * np.pi / n * np.outer(np.arange(side + 1), distance)
+        known = (np.arange(side + 1) <= reach)[:, None] & (distance <= reach)
+        self.cosines = (np.cos(angles) * known).astype(np.float32)
+        self.sines = (np.sin(angles) * known)[1:].astype(np.float32)
+        self.ones = np.ones(side + 1, np.float32)
+        angles = 2 * np.pi / n * np.outer(steps, np.append(distance, 0))
+        label = np.exp(-0.5 * (steps / (sqrt(n) * config.scale_sigma_factor)) ** 2)
+        self.label_f = (label @ np.cos(angles)).astype(np.float32)
+        back = np.concatenate([2 * np.cos(angles[:, :-1]), 2 * np.sin(angles[:, :-1]), np.ones((n, 1))], axis=1)
+        self.inverse = (back / n).astype(np.float32)
         features = CHANNELS * (self.width // CELL) * (self.height // CELL)
-        self.numerator = np.zeros((features, len(frequencies)), np.complex64)
-        self.denominator = np.zeros(len(frequencies), np.float32)
+        self.mean = Spectra(np.zeros((features, 2 * side), np.float32), np.zeros(features, np.float32))
+        self.energy = np.zeros(side + 1, np.float32)
 
     def estimate(self, spectra: Spectra) -> float:
         """The factor by which the target's size differs from the one that ``spectra`` were taken at."""
-        response_f = np.empty(len(self.denominator), np.complex64)
-        respond_scales(spectra, self.numerator, self.denominator, self.regularization, response_f)
-        response = np.fft.irfft(response_f, self.count)
+        gain = self.label_f / (self.energy + self.regularization)
+        response_f = np.empty(2 * len(gain) - 1, np.float32)
+        respond_scales(spectra.waves, spectra.sums, self.mean.waves, self.mean.sums, gain, response_f)
+        response = self.inverse @ response_f
         best, same = response.argmax(), self.count // 2
         return float(self.factors[best if response[best] > response[same] else same])
 
     def learn(self, spectra: Spectra, first: bool = False) -> None:
         """Move the filter towards the target, whose present size ``spectra`` were taken at."""
         rate = np.float32(1) if first else self.rate
-        learn_scales(spectra, self.label_f, rate, self.numerator, self.denominator)
+        learn_scales(spectra.waves, spectra.sums, rate, self.mean.waves, self.mean.sums, self.energy)
+
+    def adopt(self, numerator: npt.NDArray[np.complex64], denominator: npt.NDArray[np.float32]) -> None:
+        """Take over a filter given as half spectra, (features, count // 2 + 1) and (count // 2 + 1,)."""
+        reach, side = self.count // 2, len(self.sines)
+        waves = numerator[:, 1:] / self.label_f[:reach]
+        self.mean.waves[:, :reach], self.mean.waves[:, side : side + reach] = waves.real, -waves.imag
+        self.mean.sums[:] = numerator[:, 0].real / self.label_f[-1]
+        self.energy[:reach], self.energy[-1] = denominator[1:], denominator[0]
 
     def clamp(self, scale: float, frame_size: tuple[int, int]) -> float:
         """``scale`` within what makes sense: a few pixels at least, the frame at most."""
@@ -81,30 +111,38 @@ class ScaleModel:
         return min(max(scale, lowest), highest)
 
     def spectra(self, frame: Frame, within: Rect, center: tuple[float, float], scale: float) -> Spectra:
-        """DFT over scales of every feature, (features, count // 2 + 1) complex64; scratch, until the next call."""
+        """What the target's surroundings at that centre look like at each scale; scratch, until the next call."""
         w, h = self.base_size[0] * scale, self.base_size[1] * scale
-        largest = float(self.factors[: self.count].max())
+        largest = float(self.factors[-1])
         gray, (cx, cy), (fx, fy) = _gray_cut(frame, within, center, (w, h), largest, (self.width, self.height))
-        lanes = len(self.factors)
-        samples = scratch("scale_samples", (self.height, self.width, lanes))
-        step_x = self.factors * np.float32(w / self.width / fx)
-        step_y = self.factors * np.float32(h / self.height / fy)
-        sample_scales(gray, np.float32(cx), np.float32(cy), step_x, step_y, samples)
+        lanes, side = len(self.lane_factors), len(self.sines)
         ny, nx = self.height // CELL, self.width // CELL
-        features = scratch("scale_features", (ny * nx * CHANNELS, lanes))
+        even = scratch("scale_even", (ny * nx * CHANNELS, side + 1))
+        odd = scratch("scale_odd", (ny * nx * CHANNELS, side))
         scale_hog(
-            samples,
+            gray,
+            np.float32(cx),
+            np.float32(cy),
+            self.lane_factors * np.float32(w / self.width / fx),
+            self.lane_factors * np.float32(h / self.height / fy),
+            2 * side + 1,
             self.epsilon,
-            scratch("scale_cells", (ny, nx, SIGNED, lanes)),
-            scratch("scale_norms", (ny + 1, nx + 1, lanes)),
             self.window,
-            features,
+            scratch("quads", gray.shape, np.uint32),
+            scratch("scale_samples", (self.height, self.width, lanes)),
+            scratch("scale_histogram", (ny * nx + 1, SIGNED, lanes)),
+            scratch("scale_norms", (ny + 1, nx + 1, lanes)),
+            even,
+            odd,
         )
-        spectra = scratch("scale_spectra", (len(features), self.dft.shape[1]))
+        spectra = Spectra(scratch("scale_waves", (len(even), 2 * side)), scratch("scale_sums", (len(even),)))
         # cell by cell: products too small for a BLAS to bring its threads to, which cost more than they save
         cells = (ny * nx, CHANNELS, -1)
-        np.matmul(features.reshape(cells), self.dft, out=spectra.reshape(cells))
-        return spectra.view(np.complex64)
+        waves = spectra.waves.reshape(cells)
+        np.matmul(even.reshape(cells), self.cosines, out=waves[..., :side])
+        np.matmul(odd.reshape(cells), self.sines, out=waves[..., side:])
+        np.matmul(even, self.ones, out=spectra.sums)
+        return spectra
 
 
 def _sample_side(side: float) -> int:

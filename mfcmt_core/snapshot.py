@@ -20,9 +20,13 @@ if TYPE_CHECKING:
     from .tracker import Target
 
 FORMAT = "mfcmt-tracker"
-VERSION = 1
+VERSION = 2
+PREVIOUS = 1
+"""Held numerators in place of mean spectra, and knew one template filter and one look. Read, not written."""
 MAX_VALUE = 1e12
 """Of any array: far above what images give, and responses to it stay inside float32."""
+SIGNED = ("scale_waves",)
+"""Arrays of real numbers that may be negative."""
 MAX_BYTES = 16 << 20
 """A larger one is refused unread; the default preset's takes well below one megabyte."""
 
@@ -31,6 +35,7 @@ MAX_BYTES = 16 << 20
 class State:
     """What a snapshot holds beside the configuration, checked except for the arrays."""
 
+    version: int
     base_size: tuple[float, float]
     grey: bool
     center: tuple[float, float]
@@ -57,6 +62,7 @@ def dump(config: MFCMTConfig, target: Target, frame_size: tuple[int, int]) -> by
             "learned": r.learned,
             "unreliable_run": r.unreliable_run,
             "lost": r.lost,
+            "doubtful": r.doubtful,
         },
         "arrays": {name: _pack(array) for name, array in _arrays(target).items()},
     }
@@ -76,10 +82,11 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
         raise BadSnapshot("not MessagePack") from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise BadSnapshot("not a tracker's snapshot")
-    if document.get("version") != VERSION:
-        raise BadSnapshot(f"version {document.get('version')!r} is not {VERSION}")
+    if document.get("version") not in (VERSION, PREVIOUS):
+        raise BadSnapshot(f"version {document.get('version')!r} is not {VERSION} or {PREVIOUS}")
     try:
-        config = MFCMTConfig.from_dict(document["config"])
+        since = {"background_interval": 0, "doubt_threshold": 0.0} if document["version"] == PREVIOUS else {}
+        config = MFCMTConfig.from_dict(since | document["config"])
         width, height = (_integer(v, 1, MAX_FRAME_SIDE) for v in document["frame_size"])
         w, h = (_number(v, MIN_BOX_SIDE, 4 * MAX_FRAME_SIDE) for v in document["base_size"])
         x, y = (_number(v, 0, side) for v, side in zip(document["center"], (width, height), strict=True))
@@ -90,9 +97,18 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
             "learned": _integer(r["learned"], 0, 1 << 62),
             "unreliable_run": _integer(r["unreliable_run"], 0, 1 << 62),
             "lost": _boolean(r["lost"]),
+            "doubtful": _boolean(r.get("doubtful", False)),
         }
         scale = _number(document["scale"], 1e-6, 1e10)
-        state = State((w, h), _boolean(document["grey"]), (x, y), scale, reliability, dict(document["arrays"]))
+        state = State(
+            document["version"],
+            (w, h),
+            _boolean(document["grey"]),
+            (x, y),
+            scale,
+            reliability,
+            dict(document["arrays"]),
+        )
     except (KeyError, TypeError, ValueError, BadConfig) as error:
         raise BadSnapshot(f"a field is missing or out of its range: {error}") from error
     return config, state, (width, height)
@@ -100,11 +116,16 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
 
 def restore(target: Target, state: State) -> None:
     """Fill a target built for ``state``'s sizes. Raises BadSnapshot where an array does not fit it."""
-    expected = _arrays(target)
+    previous = state.version == PREVIOUS
+    expected = _previous_arrays(target) if previous else _arrays(target)
     if set(expected) != set(state.arrays):
         raise BadSnapshot(f"the arrays are not {sorted(expected)}")
     for name, array in expected.items():
         _unpack(name, state.arrays[name], array)
+    if previous and target.template and "numerator" in expected:
+        target.template.adopt(expected["numerator"])
+    if previous and target.sizes:
+        target.sizes.adopt(expected["scale_numerator"], expected["scale_denominator"])
     target.center, target.scale = state.center, state.scale
     for name, value in state.reliability.items():
         setattr(target.reliability, name, value)
@@ -118,11 +139,28 @@ def _arrays(target: Target) -> dict[str, npt.NDArray[Any]]:
     if t := target.template:
         arrays["filters"] = t.filters
         if t.average == "spectra":
-            arrays |= {"numerator": t.numerator, "denominator": t.denominator}
+            arrays |= {"mean": t.mean, "denominator": t.denominator}
+        if t.background:
+            arrays["background_filters"] = t.background.filters
     if c := target.color:
         arrays |= {"foreground": c.foreground, "background": c.background}
     if s := target.sizes:
-        arrays |= {"scale_numerator": s.numerator, "scale_denominator": s.denominator}
+        arrays |= {"scale_waves": s.mean.waves, "scale_sums": s.mean.sums, "scale_energy": s.energy}
+    return arrays
+
+
+def _previous_arrays(target: Target) -> dict[str, npt.NDArray[Any]]:
+    """What the version before had in place of the means of spectra."""
+    arrays = _arrays(target)
+    if "mean" in arrays:
+        arrays["numerator"] = np.zeros_like(arrays.pop("mean"))
+    if s := target.sizes:
+        shape = (len(s.mean.sums), s.count // 2 + 1)
+        arrays = {name: array for name, array in arrays.items() if not name.startswith("scale_")}
+        arrays |= {
+            "scale_numerator": np.zeros(shape, np.complex64),
+            "scale_denominator": np.zeros(shape[1], np.float32),
+        }
     return arrays
 
 
@@ -143,7 +181,7 @@ def _unpack(name: str, packed: Any, into: npt.NDArray[Any]) -> None:
     if not fits:
         raise BadSnapshot(f"array {name!r} is not {dtype.str} of shape {into.shape}")
     values = np.frombuffer(packed["data"], dtype).reshape(into.shape)
-    lowest = 0 if into.dtype.kind == "f" else -np.inf  # histograms and energies
+    lowest = 0 if into.dtype.kind == "f" and name not in SIGNED else -np.inf  # histograms and energies
     if not (np.abs(values) <= MAX_VALUE).all() or (values.real < lowest).any():
         raise BadSnapshot(f"array {name!r} has values that no tracker has")
     into[...] = values

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -13,18 +14,21 @@ from . import snapshot
 from .color import Bins, ColorModel
 from .config import MFCMTConfig
 from .errors import BadConfig, BadImage, BadSnapshot, NotInitialised
+from .fourier import Spectra
 from .fusion import fuse
 from .geometry import Frame, Image, Patch, Rect, SearchWindow, check_box, clip_rect, grow_rect
-from .redetection import propose
+from .redetection import other_peaks, propose
 from .reliability import Peaks, Reliability, Verdict
 from .result import Box, TrackResult
 from .scale import ScaleModel
-from .template import Spectra, TemplateModel
+from .template import TemplateModel
 from .workspace import scratch
 
 ATTENTION = 1.25
 """What a frame is looked at for: the search window times this. It leaves the target room to move by an eighth
 of the window and still be learned with all of its surroundings; further out the border repeats."""
+WIDE_ATTENTION = 2.0
+"""The same where the last frame left doubts: the windows on all four sides, too."""
 MOTION_ROOM = 0.5
 """Of the target's side, on each side of the region: how far it may move in one frame in flight."""
 GREY_TOLERANCE = 1
@@ -61,13 +65,13 @@ class Target:
             self.window.rect(center, self.scale),
             patch,
             self.template.spectra(pixels) if self.template else np.empty(0, np.complex64),
-            self.color.bins(pixels) if self.color else np.empty(0, np.int32),
+            self.color.bins(pixels) if self.color else np.empty(0, np.uint16),
         )
 
     def learn(self, seen: Observation, first: bool = False) -> None:
         """Line 11 of Algorithm 1, on an observation centred on the target."""
         if self.template:
-            self.template.learn(seen.spectra, first)
+            self.template.learn(seen.spectra, None if first else self.reliability.learned)
         if self.color:
             self.color.learn(seen.bins, first)
 
@@ -97,13 +101,20 @@ class Observation:
     """The search window at one place of one frame, and what the models see in it.
 
     ``rect`` is the window in whole pixels: where it is the same, so is everything else. ``spectra`` and
-    ``bins`` are empty where there is no such model; ``bins`` is scratch.
+    ``bins`` are empty where there is no such model.
     """
 
     rect: Rect
     patch: Patch
     spectra: Spectra
     bins: Bins
+
+
+Look = tuple[Observation, Found]
+
+
+def _strength(look: Look) -> tuple[float, float]:
+    return look[1].peaks.strength
 
 
 class MFCMT:
@@ -171,7 +182,7 @@ class MFCMT:
         frame.require(within)
 
         seen, found = self._search(target, frame, within)
-        kept = self._copy_maps(target) if maps else None
+        kept = self._copy_maps(target, frame, seen) if maps else None
         verdict = target.reliability.judge(found.peaks)
         if verdict.status != "lost":
             target.center = found.center
@@ -203,7 +214,8 @@ class MFCMT:
         target = self._require_target()
         if target.reliability.lost:
             return (0, 0, *self._frame_size)
-        return clip_rect(target.window.rect(target.center, target.scale, ATTENTION), self._frame_size)
+        attention = WIDE_ATTENTION if target.reliability.doubtful else ATTENTION
+        return clip_rect(target.window.rect(target.center, target.scale, attention), self._frame_size)
 
     def region(self, lag: int = 1) -> Rect:
         """:meth:`needed_region` with room for the target to move during ``lag`` frames in flight."""
@@ -233,22 +245,36 @@ class MFCMT:
             raise NotInitialised("call init first")
         return self._target
 
-    def _search(self, target: Target, frame: Frame, within: Rect) -> tuple[Observation, Found]:
-        """Where the fused map peaks: around the last place and, while lost, also where colours propose."""
-        places = [target.center]
-        if target.reliability.lost and target.color:
-            places.append(propose(target.color, frame, target.base_size, target.scale))
-        best = None
-        for place in places:
-            seen = target.observe(frame, within, place)
-            found = self._detect(target, frame, seen)
-            if best is None or found.peaks.strength > best[1].peaks.strength:
-                best = seen, found
-        assert best is not None
-        if target.reliability.lost:  # a second look from there: the surroundings at their place, too
-            seen = target.observe(frame, within, best[1].center)
-            best = seen, self._detect(target, frame, seen)
-        return best
+    def _search(self, target: Target, frame: Frame, within: Rect) -> Look:
+        """Where the fused map peaks: around the last place, and elsewhere while the target may not be there."""
+        look = partial(self._look, target, frame, within)
+        first = look(target.center)
+        if target.reliability.lost:
+            best = first
+            if target.color:
+                proposed = look(propose(target.color, frame, target.base_size, target.scale))
+                best = max(first, proposed, key=_strength)
+            return look(best[1].center)  # a second look from there: the surroundings at their place, too
+        was_doubtful, target.reliability.doubtful = target.reliability.doubtful, False
+        if not target.reliability.doubts(first[1].peaks):
+            return first
+        others = other_peaks(target.maps()[1], target.window.target)
+        centred = look(first[1].center)  # off the middle of the window a target's peak is lower
+        if not target.reliability.doubts(centred[1].peaks):
+            return first
+        target.reliability.doubtful = True
+        looks = [look(target.window.displaced(first[0].patch, displacement)) for displacement in others]
+        if was_doubtful:
+            around = [look(place) for place in target.window.neighbours(target.center, target.scale, frame.size)]
+            looks += [look(max(around, key=_strength)[1].center)] if around else []
+        best = max(looks, key=_strength, default=centred)
+        decisive = best[1].peaks.template > self.config.doubt_margin * centred[1].peaks.template
+        return best if decisive else first
+
+    def _look(self, target: Target, frame: Frame, within: Rect, place: Point) -> Look:
+        """What the window around ``place`` shows and where its fused map peaks."""
+        seen = target.observe(frame, within, place)
+        return seen, self._detect(target, frame, seen)
 
     def _detect(self, target: Target, frame: Frame, seen: Observation) -> Found:
         """Lines 5–7 of Algorithm 1: respond, fuse, take the peak."""
@@ -276,12 +302,21 @@ class MFCMT:
             sizes.learn(spectra)
         target.scale = scale
 
-    def _copy_maps(self, target: Target) -> dict[str, npt.NDArray[np.float32]]:
-        """The probability maps of the last search by name."""
+    def _copy_maps(self, target: Target, frame: Frame, seen: Observation) -> dict[str, npt.NDArray[np.float32]]:
+        """The probability maps by name, of a joint filter also the part of each cue.
+
+        They are computed again, for the search may have looked elsewhere since.
+        """
+        self._detect(target, frame, seen)
         responses, fused = target.maps()
-        return {"fused": fused.copy()} | {
-            name: np.array(r) for name, r in zip(target.map_names, responses, strict=True)
-        }
+        kept = {"fused": fused.copy()}
+        kept |= {name: np.array(r) for name, r in zip(target.map_names, responses, strict=True)}
+        if target.template and self.config.joint_filter:
+            parts = target.template.respond_by_cue(seen.spectra)
+            for name, part in parts.items():
+                fuse(part[None], np.ones(1, np.float32), self.config, np.empty_like(part))
+                kept[name] = part
+        return kept
 
 
 def _is_grey(pixels: Image) -> bool:

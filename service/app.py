@@ -26,6 +26,7 @@ from .api import (
     targets,
     ticket,
     trajectory,
+    web,
 )
 from .api.middleware import Surroundings
 from .api.stream import StreamEndpoint
@@ -39,7 +40,7 @@ from .seal import Seal
 from .service import Service
 from .sessions.book import SessionBook
 from .sessions.config import lane_config
-from .sessions.meter import Meter
+from .sessions.meter import Meter, Room
 from .settings import Settings
 
 if TYPE_CHECKING:
@@ -66,9 +67,9 @@ def create_app(
     book = SessionBook(settings, lanes, metrics, clock)
     secrets = [secret.get_secret_value().encode() for secret in settings.signing_keys]
     seal = Seal(secrets or [token_bytes(SECRET_BYTES)])
-    meter = Meter(settings, clock)
+    meter, uploads = Meter(settings, clock), Room(settings.max_upload_bytes)
     exposition = Exposition(metrics, book.__len__, settings.capacity, lanes, book.keeper.budget)
-    service = Service(settings, lanes, book, Gate(settings, clock), metrics, exposition, meter, seal)
+    service = Service(settings, lanes, book, Gate(settings, clock), metrics, exposition, meter, uploads, seal)
 
     app = FastAPI(
         title="MFCMT",
@@ -80,7 +81,7 @@ def create_app(
     )
     app.state.service = service
     calls = (sessions, frames, targets, trajectory, snapshot, ticket, capabilities)
-    routers = {"/v1": [module.router for module in calls], "": [health.router, docs.router]}
+    routers = {"/v1": [module.router for module in calls], "": [health.router, docs.router, web.router]}
     for prefix, some in routers.items():
         for router in some:
             app.include_router(router, prefix=prefix)
@@ -89,6 +90,7 @@ def create_app(
     errors.install(app)
     openapi.install(app, routers, settings)
     app.state.documents = docs.Documents.of(app)
+    app.state.assets = web.load()
     return app
 
 

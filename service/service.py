@@ -14,7 +14,7 @@ from .observability.exposition import Exposition
 from .observability.metrics import Metrics
 from .seal import Seal
 from .sessions.book import SessionBook
-from .sessions.meter import Meter
+from .sessions.meter import Meter, Room
 from .sessions.session import Attachment, Session
 from .settings import Settings
 
@@ -34,6 +34,7 @@ class Service:
     metrics: Metrics
     exposition: Exposition
     meter: Meter
+    uploads: Room
     seal: Seal
 
     async def follow_keys(self) -> None:
@@ -41,9 +42,7 @@ class Service:
         while True:
             await asyncio.sleep(KEYS_EVERY_S)
             if self.gate.refresh():
-                cut = self.book.end_streams(
-                    4401, "the key was revoked", lambda stream: not self.gate.knows(stream.identity)
-                )
+                cut = self.book.end_streams(4401, "the key was revoked", self._revoked)
                 log.info("streams of revoked keys cut", streams=cut)
 
     def _revoked(self, stream: Attachment) -> bool:

@@ -72,6 +72,9 @@ class Settings(BaseSettings):
     )
     max_body_bytes: int = Field(default=64 * 1024, ge=1024, description="bytes of a body or message without a frame")
     max_snapshot_bytes: int = Field(default=64 * MIB, ge=1024, description="bytes of a snapshot that is sent in")
+    max_upload_bytes: int = Field(
+        default=512 * MIB, ge=1024, description="bytes of all bodies that are being received at once"
+    )
     body_timeout_s: float = _positive(30.0, "from a call's head to the end of its body")
 
     idle_timeout_s: float = _positive(300.0, "a session without a stream ends after this long without a frame or call")

@@ -19,8 +19,10 @@ COMMANDS = {
     "serve": ("service.cli.serve", "run the tracking service"),
     "health": ("service.cli.health", "ask a running service on this machine how it is: exit code 0 or 1"),
     "load": ("service.cli.load", "drive a service with real frames and measure it"),
+    "soak": ("service.cli.soak", "work for long and see that memory stays flat"),
+    "fuzz": ("service.cli.fuzz", "send a service bad inputs and count wrong answers"),
     "chaos": ("service.cli.chaos", "kill, stop and bloat a service under load and count what is lost"),
-    "demo": ("service.cli.demo", "stream a clip through a service and show what comes back"),
+    "demo": ("service.cli.demo", "open the page with the sample clip, on a service of its own"),
 }
 
 

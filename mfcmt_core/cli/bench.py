@@ -1,4 +1,4 @@
-"""``mfcmt bench``: milliseconds a frame, stage by stage; ``--peers`` beside other trackers."""
+"""``mfcmt bench``: milliseconds a frame, stage by stage; ``--peers`` beside other trackers; ``--costs`` of the rest."""
 
 from __future__ import annotations
 
@@ -14,8 +14,18 @@ import numpy as np
 from .. import synthetic
 from ..config import PRESETS, MFCMTConfig
 from ..tracker import MFCMT
-from . import UsageError, versus
-from .measure import STAGES, Material, StageClock, pin, real_material, synthetic_material, timed_run, warm_up
+from . import UsageError, costs, versus
+from .measure import (
+    STAGES,
+    Material,
+    StageClock,
+    pin,
+    real_material,
+    spread,
+    synthetic_material,
+    timed_run,
+    warm_up,
+)
 
 BUSY = 1.15
 """Wall over processor time above which others had the core too."""
@@ -37,6 +47,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="beside OpenCV's CSRT, KCF and MOSSE and dlib, speed and accuracy, in one run on the same frames "
         "(default: of $MFCMT_OTB_ROOT); see make bench-peers",
     )
+    parser.add_argument(
+        "--costs",
+        action="store_true",
+        help="what larger frames, a lost target, ten targets and a second core cost, on a rendered clip",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -49,8 +64,13 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"no folder {args.data}")
     if args.core is not None and args.core not in getattr(os, "sched_getaffinity", lambda _: {args.core})(0):
         raise UsageError(f"no core {args.core} for this process")
+    if args.costs and (args.peers or args.clip or args.data):
+        raise UsageError("--costs renders its own clip and goes with neither --peers, --clip nor --data")
     machine = pin(args.core)
-    if args.peers:
+    if args.costs:
+        report = costs.measure(MFCMTConfig.preset(args.preset), args.frames)
+        text = costs.table(report)
+    elif args.peers:
         report = versus.measure(material(args, versus.default_data()), args.preset)
         text = versus.table(report)
     else:
@@ -80,6 +100,7 @@ def measure(materials: Iterable[Material], preset: str, repeat: int) -> dict[str
         warm_up(MFCMT(config), item)
         runs = [timed_run(MFCMT(config), item) for _ in range(repeat)]
         cpu = np.concatenate([r.cpu[1:] for r in runs])
+        tracked = cpu[~np.concatenate([r.lost[1:] for r in runs])]
         updates.append(cpu)
         walls.append(np.concatenate([r.wall[1:] for r in runs]))
         height, width = item.frames[0].shape[:2]
@@ -87,6 +108,7 @@ def measure(materials: Iterable[Material], preset: str, repeat: int) -> dict[str
             {"name": item.name, "frames": len(item.frames), "size": [width, height], "target": list(item.box[2:])}
             | {"init_ms": _milliseconds(np.array([r.cpu[0] for r in runs]))["median"]}
             | {"update_ms": _milliseconds(cpu), "fps": float(1 / cpu.mean())}
+            | {"lost": 1 - len(tracked) / len(cpu), "p99_over_median": spread(tracked)}
         )
         tracker = MFCMT(config)
         tracker.init(item.frames[0], item.box)
@@ -125,17 +147,20 @@ def table(report: dict[str, Any]) -> str:
             lines.append(
                 f"{name:<20}{stage['median']:9.3f}{stage['mean']:9.3f}{stage['p90']:9.3f}{stage['calls']:8.2f}"
             )
-    lines += ["", f"{'update':<20}{'median':>9}{'mean':>9}{'p90':>9}{'p99':>8}{'init':>8}{'frames/s':>10}"]
+    lines += [
+        "",
+        f"{'update':<20}{'median':>9}{'mean':>9}{'p90':>9}{'p99':>8}{'/median':>9}{'init':>8}{'frames/s':>10}",
+    ]
     for clip in report["clips"]:
         u = clip["update_ms"]
-        row = (
-            f"{u['median']:9.3f}{u['mean']:9.3f}{u['p90']:9.3f}{u['p99']:8.2f}{clip['init_ms']:8.2f}{clip['fps']:10.0f}"
-        )
-        lines.append(f"{clip['name']:<20}{row}")
+        ratio = "–" if clip["p99_over_median"] is None else f"{clip['p99_over_median']:.2f}"
+        row = f"{u['median']:9.3f}{u['mean']:9.3f}{u['p90']:9.3f}{u['p99']:8.2f}"
+        lines.append(f"{clip['name']:<20}{row}{ratio:>9}{clip['init_ms']:8.2f}{clip['fps']:10.0f}")
     if len(report["clips"]) > 1:
         u = report["update_ms"]
-        row = f"{u['median']:9.3f}{u['mean']:9.3f}{u['p90']:9.3f}{u['p99']:8.2f}{'':8}{report['fps']:10.0f}"
-        lines.append(f"{'all frames':<20}{row}")
+        row = f"{u['median']:9.3f}{u['mean']:9.3f}{u['p90']:9.3f}{u['p99']:8.2f}"
+        lines.append(f"{'all frames':<20}{row}{'':17}{report['fps']:10.0f}")
+    lines.append("p99 / median: of the frames on which the target is not lost")
     first = report["clips"][0]
     if len(report["clips"]) == 1:
         (w, h), (tw, th) = first["size"], first["target"]

@@ -19,6 +19,7 @@ from ..otb.dataset import Dataset
 from ..otb.document import Picture, to_markdown
 from ..otb.errors import DataError
 from ..otb.layouts import LAYOUTS, open_dataset
+from ..otb.protocol import PROTOCOLS
 from ..otb.report import Results, write_report
 from ..otb.reproduce import reproduce
 from ..otb.runner import boxes_of, evaluate
@@ -47,7 +48,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="names, apart by comma or space: a preset, a configuration file (.toml, .json), "
         "a folder of result files; LABEL=TRACKER gives another name",
     )
-    parser.add_argument("--protocol", default="ope", help="ope, tre, sre, apart by comma (default: ope)")
+    parser.add_argument("--protocol", default="ope", help="ope, tre, sre, starts, apart by comma (default: ope)")
     parser.add_argument("--layout", choices=["auto", *LAYOUTS], default="auto", help="how the folder is laid out")
     parser.add_argument("--set", choices=SUBSETS, default="otb2015", help="which targets (default: otb2015)")
     parser.add_argument("--sequences", metavar="NAMES", help="only these, apart by comma")
@@ -73,7 +74,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run what is not finished, print a table for each protocol; 1 where a tracker lost a sequence."""
     protocols = [p.upper() for p in args.protocol.split(",")]
-    if unknown := set(protocols) - {"OPE", "TRE", "SRE"}:
+    if unknown := set(protocols) - set(PROTOCOLS):
         raise UsageError(f"unknown protocol: {', '.join(sorted(unknown))}")
     if (args.film or args.video) and not (args.film and args.report and "OPE" in protocols):
         raise UsageError("--film names sequences, needs --report and OPE; --video needs --film")

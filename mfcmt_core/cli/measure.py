@@ -108,12 +108,16 @@ def cpu_name() -> str:
 
 @dataclass(frozen=True, eq=False)
 class Timed:
-    """Of each update: processor seconds, wall seconds, box, and whether the tracker said it had the target."""
+    """Of each update: processor seconds, wall seconds, box, and what the tracker said of the target.
+
+    ``alive``: it had it (of a peer); ``lost``: it searches wider (of ours).
+    """
 
     cpu: Array
     wall: Array
     boxes: Array
     alive: npt.NDArray[np.bool_]
+    lost: npt.NDArray[np.bool_]
 
 
 def warm_up(tracker: Any, material: Material) -> None:
@@ -130,13 +134,20 @@ def timed_run(tracker: Any, material: Material) -> Timed:
     """
     count = len(material.frames)
     cpu, wall, boxes, alive = np.empty(count), np.empty(count), np.empty((count, 4)), np.ones(count, bool)
+    lost = np.zeros(count, bool)
     for i, frame in enumerate(material.frames):
         wall[i], cpu[i] = time.perf_counter(), time.thread_time()
         result = tracker.update(frame) if i else tracker.init(frame, material.box)
         cpu[i], wall[i] = time.thread_time() - cpu[i], time.perf_counter() - wall[i]
         boxes[i] = getattr(result, "box", result) if i else material.box
         alive[i] = getattr(tracker, "found", True)
-    return Timed(cpu, wall, boxes, alive)
+        lost[i] = getattr(result, "status", "") == "lost"
+    return Timed(cpu, wall, boxes, alive, lost)
+
+
+def spread(seconds: Array) -> float | None:
+    """The 99th percentile over the median; None of nothing."""
+    return float(np.percentile(seconds, 99) / np.median(seconds)) if len(seconds) else None
 
 
 class StageClock:

@@ -16,7 +16,7 @@ from ..otb.protocol import Run
 from ..otb.score import Evaluation, score_runs
 from ..otb.trackers import Engine
 from . import UsageError
-from .measure import Material, Timed, timed_run, warm_up
+from .measure import Material, Timed, spread, timed_run, warm_up
 from .progress import Progress
 
 OURS = "MFCMT"
@@ -56,6 +56,7 @@ def measure(materials: Iterable[Material], preset: str) -> dict[str, Any]:
     medians: dict[str, dict[str, float]] = {e.name: {} for e in entries}
     alive: dict[str, list[float]] = {e.name: [] for e in entries}
     left_out = [f"{p.name}: {p.lacks} is not installed" for p in peers if p.lacks]
+    spreads: dict[str, float | None] = {}
     frames = 0
     with Progress(None) as bar:
         for turn, item in enumerate(materials):
@@ -70,6 +71,8 @@ def measure(materials: Iterable[Material], preset: str) -> dict[str, Any]:
                     left_out.append(f"{entry.name} on {item.name}: {type(failed).__name__}")
                     continue
                 bar.step(f"{item.name} {entry.name}")
+                if entry.name == OURS:
+                    spreads[item.name] = spread(timed.cpu[1:][~timed.lost[1:]])
                 score = score_runs(item.sequence, [(Run("", 0, item.box), timed.boxes)])
                 scores[entry.name].scores[item.name] = score
                 counted = timed.cpu[1:][timed.alive[1:]]
@@ -82,7 +85,11 @@ def measure(materials: Iterable[Material], preset: str) -> dict[str, Any]:
                     )
     rows = [_row(e.name, scores[e.name], medians, alive[e.name]) for e in entries]
     sequences = {name: {e.name: medians[e.name].get(name) for e in entries} for name in medians[OURS]}
-    return {"preset": preset, "frames": frames, "trackers": rows, "median_ms": sequences, "left_out": left_out}
+    return {"preset": preset, "frames": frames, "trackers": rows} | {
+        "median_ms": sequences,
+        "p99_over_median": spreads,
+        "left_out": left_out,
+    }
 
 
 def _run(entry: Engine | Peer, item: Material) -> Timed:
@@ -99,6 +106,16 @@ def _row(name: str, evaluation: Evaluation, medians: dict[str, dict[str, float]]
     if evaluation.scores:
         row |= {"auc": evaluation.success, "precision": evaluation.precision, "alive": float(np.mean(alive))}
     return row
+
+
+def _behind(medians: dict[str, dict[str, float | None]]) -> list[str]:
+    """Where a peer that counts was faster than ours."""
+    return [
+        f"{sequence}: {name} in {ms / row[OURS]:.2f} of the time"  # type: ignore[operator]
+        for sequence, row in medians.items()
+        for name, ms in row.items()
+        if ms is not None and ms < row[OURS]  # type: ignore[operator]
+    ]
 
 
 def _geometric_mean(values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
@@ -118,6 +135,16 @@ def table(report: dict[str, Any]) -> str:
     for row in report["trackers"]:
         cells = (f"{row[key]:{w}.{digits}f}" if key in row else f"{'–':>{w}}" for _, key, w, digits in COLUMNS)
         lines.append(f"{row['name']:<14}" + "".join(cells))
+    spreads = {name: s for name, s in report["p99_over_median"].items() if s is not None}
+    if spreads:
+        worst = max(spreads, key=lambda name: spreads[name])
+        middle = float(np.median(list(spreads.values())))
+        lines += [
+            "",
+            f"{OURS}, p99 over median where the target is not lost: {middle:.2f} in the middle of the sequences,",
+        ]
+        lines += [f"{spreads[worst]:.2f} at most ({worst}); slower than a peer on:"]
+        lines += [f"  {line}" for line in _behind(report["median_ms"])] or ["  none"]
     if report["left_out"]:
         lines += ["", "left out:", *(f"  {line}" for line in report["left_out"])]
     return "\n".join(lines)

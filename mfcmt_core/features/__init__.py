@@ -1,6 +1,6 @@
 """The template features of section III-A on one grid of cells: raw pixels, fHOG and colour names.
 
-Each cue is a block of planes of one stack, ``(channels, cells, cells)`` float32, times the Hann window.
+Each cue is a block of planes of one stack, ``(cells, channels, cells)`` float32, rows first, times the Hann window.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ..config import MFCMTConfig
 from ..geometry import CELL, Image
 from ..kernels.cells import color_name_cells, gray_cells
-from ..kernels.hog import CHANNELS, SIGNED, gradients, histogram_cells, normalize_cells
+from ..kernels.hog import CHANNELS, SIGNED, hog_cells
 from ..workspace import scratch
 from .color_names import table
 
@@ -48,23 +48,28 @@ class FeatureStack:
         self.channels = start
 
     def extract(self, patch: Image) -> npt.NDArray[np.float32]:
-        """Windowed features (channels, cells, cells) of ``patch`` (H, W[, 3]); scratch, valid until the next call."""
+        """Windowed features (cells, channels, cells) of ``patch`` (H, W[, 3]); scratch, valid until the next call."""
         n, side = self.cells, self.cells * CELL
         if len(patch) != side:  # 150 px hold 37 cells: what is left over is left out
             margin = (len(patch) - side) // 2
             patch = np.ascontiguousarray(patch[margin : margin + side, margin : margin + side])
-        out = scratch("features", (self.channels, n, n))
+        out = scratch("features", (n, self.channels, n))
         gray = patch if patch.ndim == 2 else cv2.cvtColor(patch, cv2.COLOR_BGR2GRAY)
         if block := self.blocks.get("gray"):
-            gray_cells(gray, self.window, out[block.start])
+            gray_cells(gray, self.window, block.start, out)
         if block := self.blocks.get("fhog"):
-            magnitude = scratch("magnitude", (side, side))
-            orientation = scratch("orientation", (side, side), np.int32)
-            histogram = scratch("cells", (n, SIGNED, n))
-            gradients(gray, magnitude, orientation)
-            histogram_cells(magnitude, orientation, scratch("rows", (4, SIGNED, n + 2)), histogram)
-            normalize_cells(histogram, self.window, self.epsilon, scratch("norms", (n + 1, n + 1)), out[block])
+            hog_cells(
+                gray,
+                self.window,
+                self.epsilon,
+                block.start,
+                scratch("magnitude", (side, side)),
+                scratch("orientation", (side, side), np.uint8),
+                scratch("rows", (4, SIGNED, n + 2)),
+                scratch("cells", (n, SIGNED, n)),
+                scratch("norms", (n + 1, n + 1)),
+                out,
+            )
         if block := self.blocks.get("color_names"):
-            means = cv2.resize(patch, (n, n), interpolation=cv2.INTER_AREA)
-            color_name_cells(means, self.names, self.window, out[block])
+            color_name_cells(patch, self.names, self.window, block.start, out)
         return out

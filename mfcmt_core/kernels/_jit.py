@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import numba
 from numba.core import caching
+from numba.core.compiler import Compiler
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -17,9 +18,18 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
 
     ``fastmath`` lets sums be vectorised; inputs are finite by construction.
     """
-    dispatcher: Any = numba.njit(fastmath=True, nogil=True, error_model="numpy")(function)
+    compiled = numba.njit(fastmath=True, nogil=True, error_model="numpy", pipeline_class=_Distinct)
+    dispatcher: Any = compiled(function)
     dispatcher._cache = _Cache(function)
     return cast("Callable[..., Any]", dispatcher)
+
+
+class _Distinct(Compiler):
+    """Arrays handed to one kernel do not overlap where it writes: loops over many of them need no test for it."""
+
+    def __init__(self, typing, target, library, args, return_type, flags, names):  # type: ignore[no-untyped-def]
+        flags.noalias = True
+        super().__init__(typing, target, library, args, return_type, flags, names)
 
 
 class _Ready:
@@ -68,4 +78,5 @@ class _Cache:
         return own if own is not None else self._ready.load_overload(sig, target_context)
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        self._own.save_overload(sig, data)
+        with contextlib.suppress(OSError):  # a full disk, or a process that may not write any more
+            self._own.save_overload(sig, data)

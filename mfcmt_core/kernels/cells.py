@@ -1,4 +1,7 @@
-"""Means over cells: raw pixels and colour names."""
+"""Means over cells: raw pixels and colour names.
+
+Features are stacks of planes with their rows outermost, ``(cells, channels, cells)`` float32.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,9 @@ from ._jit import kernel
 
 
 @kernel
-def gray_cells(gray, window, out):  # type: ignore[no-untyped-def]
-    """Mean grey of each cell of 4×4 in [-0.5, 0.5], windowed: ``out`` (cells, cells) ← ``gray`` uint8."""
-    cells_y, cells_x = out.shape
+def gray_cells(gray, window, channel, out):  # type: ignore[no-untyped-def]
+    """Mean grey of each cell of 4×4 in [-0.5, 0.5], windowed, into one plane of ``out``; ``gray`` uint8."""
+    cells_y, _, cells_x = out.shape
     scale, half = np.float32(1 / (16 * 255)), np.float32(0.5)
     for cy in range(cells_y):
         for cx in range(cells_x):
@@ -18,23 +21,27 @@ def gray_cells(gray, window, out):  # type: ignore[no-untyped-def]
             for y in range(4 * cy, 4 * cy + 4):
                 for x in range(4 * cx, 4 * cx + 4):
                     total += np.int32(gray[y, x])
-            out[cy, cx] = (np.float32(total) * scale - half) * window[cy, cx]
+            out[cy, channel, cx] = (np.float32(total) * scale - half) * window[cy, cx]
 
 
 @kernel
-def color_name_cells(means, table, window, out):  # type: ignore[no-untyped-def]
-    """Colour-name features of each cell's mean colour, windowed.
+def color_name_cells(patch, table, window, first, out):  # type: ignore[no-untyped-def]
+    """Colour-name features of each cell's mean colour, windowed, into the planes of ``out`` from ``first`` on.
 
-    ``means`` (cells, cells, 3) uint8 BGR, ``table`` (32768, L) float32, ``out`` (L, cells, cells).
+    ``patch`` (4 cells, 4 cells, 3) uint8 BGR, ``table`` (32768, L) float32.
     """
-    channels, cells_y, cells_x = out.shape
+    cells_y, _, cells_x = out.shape
+    index = np.empty(cells_x, np.int32)
     for cy in range(cells_y):
         for cx in range(cells_x):
-            index = (
-                (np.int32(means[cy, cx, 2]) >> 3)
-                | ((np.int32(means[cy, cx, 1]) >> 3) << 5)
-                | ((np.int32(means[cy, cx, 0]) >> 3) << 10)
-            )
-            w = window[cy, cx]
-            for channel in range(channels):
-                out[channel, cy, cx] = table[index, channel] * w
+            blue, green, red = np.int32(8), np.int32(8), np.int32(8)  # half of 16 pixels: the mean is rounded
+            for y in range(4 * cy, 4 * cy + 4):
+                for x in range(4 * cx, 4 * cx + 4):
+                    blue += np.int32(patch[y, x, 0])
+                    green += np.int32(patch[y, x, 1])
+                    red += np.int32(patch[y, x, 2])
+            index[cx] = (red >> 7) | ((green >> 7) << 5) | ((blue >> 7) << 10)
+        for channel in range(table.shape[1]):
+            plane = out[cy, first + channel]
+            for cx in range(cells_x):
+                plane[cx] = table[index[cx], channel] * window[cy, cx]

@@ -6,10 +6,14 @@ import numpy as np
 
 from ._jit import kernel
 
+SEEN = 1e-12
+"""Part of a region from which on a colour counts as seen."""
+FORGOTTEN = 1e-20
+
 
 @kernel
 def bin_pixels(patch, bins):  # type: ignore[no-untyped-def]
-    """Index of each pixel's cell of the 32×32×32 RGB cube: ``bins`` (H, W) int32 ← ``patch`` (H, W, 3) BGR."""
+    """Index of each pixel's cell of the 32×32×32 RGB cube: ``bins`` (H, W) uint16 ← ``patch`` (H, W, 3) BGR."""
     height, width = bins.shape
     for y in range(height):
         for x in range(width):
@@ -22,7 +26,7 @@ def bin_pixels(patch, bins):  # type: ignore[no-untyped-def]
 
 @kernel
 def bin_gray(patch, bins):  # type: ignore[no-untyped-def]
-    """Index of each grey pixel among 32 bins: ``bins`` (H, W) int32 ← ``patch`` (H, W) uint8."""
+    """Index of each grey pixel among 32 bins: ``bins`` (H, W) uint16 ← ``patch`` (H, W) uint8."""
     height, width = bins.shape
     for y in range(height):
         for x in range(width):
@@ -30,40 +34,43 @@ def bin_gray(patch, bins):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def count_colors(bins, inner, outer, foreground, background):  # type: ignore[no-untyped-def]
-    """Histograms of the two regions, each of sum 1.
+def learn_colors(bins, inner, outer, rate, counts, foreground, background):  # type: ignore[no-untyped-def]
+    """Equation 11: the histograms move by ``rate`` towards those of the two regions of a patch, each of sum 1.
 
     ``inner`` and ``outer`` are ``(top, left, bottom, right)``: pixels inside ``inner`` are foreground, those
-    outside ``outer`` background, those between neither.
+    outside ``outer`` background, those between neither. ``counts`` (2, bins) int32 is zero, before and after.
     """
     height, width = bins.shape
-    foreground[:] = 0
-    background[:] = 0
-    f = max((inner[2] - inner[0]) * (inner[3] - inner[1]), 1)
-    b = max(height * width - (outer[2] - outer[0]) * (outer[3] - outer[1]), 1)
-    one_f = np.float32(1) / np.float32(f)
-    one_b = np.float32(1) / np.float32(b)
+    count_f, count_b = counts[0], counts[1]
     for y in range(height):
-        inside_rows = outer[0] <= y < outer[2]
-        for x in range(width):
-            if inside_rows and outer[1] <= x < outer[3]:
-                if inner[0] <= y < inner[2] and inner[1] <= x < inner[3]:
-                    foreground[bins[y, x]] += one_f
-            else:
-                background[bins[y, x]] += one_b
+        row = bins[y]
+        if inner[0] <= y < inner[2]:
+            for x in range(inner[1], inner[3]):
+                count_f[row[x]] += 1
+        within = outer[0] <= y < outer[2]
+        for x in range(outer[1] if within else width):
+            count_b[row[x]] += 1
+        for x in range(outer[3] if within else width, width):
+            count_b[row[x]] += 1
+    area_f = max((inner[2] - inner[0]) * (inner[3] - inner[1]), 1)
+    area_b = max(height * width - (outer[2] - outer[0]) * (outer[3] - outer[1]), 1)
+    one_f, one_b = rate / np.float32(area_f), rate / np.float32(area_b)
+    keep, nothing = np.float32(1) - rate, np.float32(FORGOTTEN)
+    for i in range(foreground.size):  # what has faded is dropped before it gets denormal, which is slow
+        f = keep * foreground[i] + one_f * np.float32(count_f[i])
+        b = keep * background[i] + one_b * np.float32(count_b[i])
+        foreground[i] = f if f > nothing else np.float32(0)
+        background[i] = b if b > nothing else np.float32(0)
+        count_f[i] = 0
+        count_b[i] = 0
 
 
 @kernel
-def learn_lookup(new_f, new_b, rate, foreground, background, unseen, lookup):  # type: ignore[no-untyped-def]
-    """Equations 11 and 6: histograms move by ``rate``, ``lookup`` becomes F / (F + B), unseen bins ``unseen``."""
-    keep = np.float32(1) - rate
+def tabulate(foreground, background, unseen, lookup):  # type: ignore[no-untyped-def]
+    """Equation 6: ``lookup`` ← F / (F + B), and ``unseen`` for bins that neither region has shown."""
     for i in range(lookup.size):
-        f = keep * foreground[i] + rate * new_f[i]
-        b = keep * background[i] + rate * new_b[i]
-        foreground[i] = f
-        background[i] = b
-        total = f + b
-        lookup[i] = f / total if total > np.float32(1e-12) else unseen
+        total = foreground[i] + background[i]
+        lookup[i] = foreground[i] / total if total > np.float32(SEEN) else unseen
 
 
 @kernel

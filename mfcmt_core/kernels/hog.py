@@ -1,6 +1,6 @@
 """fHOG: the 31-channel histogram of oriented gradients of Felzenszwalb et al. (PAMI 2010).
 
-Arrays are planar, ``(channels, rows, columns)``, so that every inner loop runs along a row of cells.
+Arrays are planar, ``(rows, channels, columns)``, so that every inner loop runs along a row of cells.
 """
 
 from __future__ import annotations
@@ -15,14 +15,26 @@ CHANNELS = SIGNED + ORIENTATIONS + 4
 CLIP = np.float32(0.2)
 TEXTURE = np.float32(0.2357)  # Felzenszwalb's weight of the four texture channels
 
-_ANGLES = np.arange(ORIENTATIONS) * np.pi / ORIENTATIONS
-_COS = tuple(np.float32(v) for v in np.cos(_ANGLES))
-_SIN = tuple(np.float32(v) for v in np.sin(_ANGLES))
+_BORDERS = tuple(np.float32(np.tan(np.radians(a))) for a in (10, 30, 50, 70))  # of the directions 0°, 20°, … 80°
+
+
+@kernel
+def direction(dx, dy):  # type: ignore[no-untyped-def]
+    """The nearest of 18 directions 20° apart, uint8; 0 for no gradient. float32 all through, for full SIMD lanes."""
+    one, zero = np.float32(1), np.float32(0)
+    x, y = abs(dx), abs(dy)
+    quarter = (one if y > _BORDERS[0] * x else zero) + (one if y > _BORDERS[1] * x else zero)
+    quarter += (one if y > _BORDERS[2] * x else zero) + (one if y > _BORDERS[3] * x else zero)
+    turned = dy < 0  # by half a turn into the upper half plane
+    mirrored = (-dx if turned else dx) < 0
+    half = np.float32(ORIENTATIONS) - quarter if mirrored else quarter
+    full = half + np.float32(ORIENTATIONS) if turned else half
+    return np.uint8(np.int32(zero if full == np.float32(SIGNED) else full))
 
 
 @kernel
 def gradients(gray, magnitude, orientation):  # type: ignore[no-untyped-def]
-    """Central differences of ``gray`` (H, W) uint8 → ``magnitude`` float32 and signed ``orientation`` int32.
+    """Central differences of ``gray`` (H, W) uint8 → ``magnitude`` float32 and signed ``orientation`` uint8.
 
     The orientation is the nearest of 18 directions; the border repeats.
     """
@@ -33,18 +45,8 @@ def gradients(gray, magnitude, orientation):  # type: ignore[no-untyped-def]
         for x in range(1, width - 1):
             dx = np.float32(row[x + 1]) - np.float32(row[x - 1])
             dy = np.float32(below[x]) - np.float32(above[x])
-            best = np.float32(0)
-            bin_ = np.int32(0)
-            for o in range(9):
-                dot = _COS[o] * dx + _SIN[o] * dy
-                if dot > best:
-                    best = dot
-                    bin_ = np.int32(o)
-                if -dot > best:
-                    best = -dot
-                    bin_ = np.int32(o + 9)
             m[x] = np.sqrt(dx * dx + dy * dy)
-            b[x] = bin_
+            b[x] = direction(dx, dy)
         m[0], b[0] = m[1], b[1]
         m[width - 1], b[width - 1] = m[width - 2], b[width - 2]
 
@@ -89,11 +91,12 @@ def histogram_cells(magnitude, orientation, rows, histogram):  # type: ignore[no
 
 
 @kernel
-def normalize_cells(histogram, window, epsilon, norms, out):  # type: ignore[no-untyped-def]
-    """Block-normalise, clip and window: ``out`` (31, cells_y, cells_x) ← ``histogram`` (cells_y, 18, cells_x).
+def normalize_cells(histogram, window, epsilon, norms, first, out):  # type: ignore[no-untyped-def]
+    """Block-normalise, clip and window ``histogram`` (cells_y, 18, cells_x): 31 planes from ``first`` on of ``out``.
 
-    ``window`` (cells_y, cells_x) multiplies every channel; ``epsilon`` is added to each block's energy;
-    ``norms`` (cells_y + 1, cells_x + 1) is scratch. Blocks beyond the border repeat the last cell.
+    ``out`` (cells_y, channels, cells_x); ``window`` (cells_y, cells_x) multiplies every channel; ``epsilon`` is
+    added to each block's energy; ``norms`` (cells_y + 1, cells_x + 1) is scratch. Blocks beyond the border repeat
+    the last cell.
     """
     cells_y, bins, cells_x = histogram.shape
     half = bins // 2
@@ -121,7 +124,7 @@ def normalize_cells(histogram, window, epsilon, norms, out):  # type: ignore[no-
         texture[:] = 0
         for o in range(bins):
             h = histogram[cy, o]
-            target = out[o, cy]
+            target = out[cy, first + o]
             for cx in range(cells_x):
                 a = min(h[cx] * up[cx], CLIP)
                 b = min(h[cx] * up[cx + 1], CLIP)
@@ -133,10 +136,10 @@ def normalize_cells(histogram, window, epsilon, norms, out):  # type: ignore[no-
                 texture[2, cx] += c
                 texture[3, cx] += d
         for o in range(half):
-            first, second = histogram[cy, o], histogram[cy, o + half]
-            target = out[bins + o, cy]
+            h1, h2 = histogram[cy, o], histogram[cy, o + half]
+            target = out[cy, first + bins + o]
             for cx in range(cells_x):
-                s = first[cx] + second[cx]
+                s = h1[cx] + h2[cx]
                 target[cx] = (
                     half_f
                     * (
@@ -148,6 +151,14 @@ def normalize_cells(histogram, window, epsilon, norms, out):  # type: ignore[no-
                     * win[cx]
                 )
         for k in range(4):
-            target = out[bins + half + k, cy]
+            target = out[cy, first + bins + half + k]
             for cx in range(cells_x):
                 target[cx] = TEXTURE * texture[k, cx] * win[cx]
+
+
+@kernel
+def hog_cells(gray, window, epsilon, first, magnitude, orientation, rows, histogram, norms, out):  # type: ignore[no-untyped-def]
+    """The whole of fHOG in one call; scratch as its parts want it: gradients, histogram, normalised planes."""
+    gradients(gray, magnitude, orientation)
+    histogram_cells(magnitude, orientation, rows, histogram)
+    normalize_cells(histogram, window, epsilon, norms, first, out)

@@ -1,4 +1,7 @@
-"""Element-wise passes of the correlation filters, over half spectra ``(channels, n, n // 2 + 1)`` complex64."""
+"""Element-wise passes of the correlation filters, over half spectra ``(channels, n, n // 2 + 1)`` complex64.
+
+Each frequency is for itself, so the loops run over all of a channel's frequencies at once.
+"""
 
 from __future__ import annotations
 
@@ -13,25 +16,24 @@ def respond_filters(filters, spectra, blocks, response_f):  # type: ignore[no-un
 
     ``blocks`` (models, 2) int64 holds each model's first and one past its last channel.
     """
-    _, rows, columns = spectra.shape
     for m in range(blocks.shape[0]):
-        total = response_f[m]
+        total = response_f[m].ravel()
         total[:] = 0
         for channel in range(blocks[m, 0], blocks[m, 1]):
-            for i in range(rows):
-                for k in range(columns):
-                    total[i, k] += np.conj(filters[channel, i, k]) * spectra[channel, i, k]
+            w, z = filters[channel].ravel(), spectra[channel].ravel()
+            for k in range(total.size):
+                total[k] += np.conj(w[k]) * z[k]
 
 
 @kernel
 def energy(spectra, block, out):  # type: ignore[no-untyped-def]
     """Σ |spectrum|² over the channels of a block, ``out`` (n, n // 2 + 1) float32: equation 2's denominator."""
-    out[:] = 0
+    total = out.ravel()
+    total[:] = 0
     for channel in range(block[0], block[1]):
-        for i in range(out.shape[0]):
-            for k in range(out.shape[1]):
-                z = spectra[channel, i, k]
-                out[i, k] += z.real * z.real + z.imag * z.imag
+        z = spectra[channel].ravel()
+        for k in range(total.size):
+            total[k] += z[k].real * z[k].real + z[k].imag * z[k].imag
 
 
 @kernel
@@ -41,46 +43,36 @@ def learn_filters(spectra, label_f, blocks, regularization, rate, energies, filt
     ``energies`` (models, n, n // 2 + 1) float32 holds :func:`energy` of each block.
     """
     keep = np.float32(1) - rate
+    label = label_f.ravel()
+    gain = np.empty(label.size, np.complex64)
     for m in range(blocks.shape[0]):
+        total = energies[m].ravel()
+        for k in range(label.size):
+            gain[k] = np.conj(label[k]) * (rate / (total[k] + regularization))
         for channel in range(blocks[m, 0], blocks[m, 1]):
-            for i in range(label_f.shape[0]):
-                for k in range(label_f.shape[1]):
-                    gain = rate / (energies[m, i, k] + regularization)
-                    new = np.conj(label_f[i, k]) * spectra[channel, i, k] * gain
-                    filters[channel, i, k] = keep * filters[channel, i, k] + new
+            w, z = filters[channel].ravel(), spectra[channel].ravel()
+            for k in range(label.size):
+                w[k] = keep * w[k] + gain[k] * z[k]
 
 
 @kernel
 def learn_spectra(  # type: ignore[no-untyped-def]
-    spectra, label_f, blocks, regularization, rate, energies, numerator, denominator, filters
+    spectra, label_f, blocks, regularization, rate, energies, mean, denominator, filters
 ):
-    """Equation 11 on numerator and denominator of equation 2, then the division: ``filters``."""
-    keep = np.float32(1) - rate
-    for m in range(blocks.shape[0]):
-        for i in range(label_f.shape[0]):
-            for k in range(label_f.shape[1]):
-                denominator[m, i, k] = keep * denominator[m, i, k] + rate * energies[m, i, k]
-        for channel in range(blocks[m, 0], blocks[m, 1]):
-            for i in range(label_f.shape[0]):
-                for k in range(label_f.shape[1]):
-                    new = np.conj(label_f[i, k]) * spectra[channel, i, k] * rate
-                    numerator[channel, i, k] = keep * numerator[channel, i, k] + new
-                    filters[channel, i, k] = numerator[channel, i, k] / (denominator[m, i, k] + regularization)
+    """Equation 11 on numerator and denominator of equation 2, then the division: ``filters``.
 
-
-@kernel
-def center_response(response, out):  # type: ignore[no-untyped-def]
-    """The displacements within reach, zero in the middle: ``out`` (2·ry + 1, 2·rx + 1) ← ``response`` (n, n).
-
-    Returns the highest value.
+    The label is the same in every frame, so the numerator's mean is the label times the ``mean`` of spectra.
     """
-    rows, columns = out.shape
-    n_rows, n_columns = response.shape
-    highest = np.float32(-np.inf)
-    for i in range(rows):
-        source = response[(i - rows // 2) % n_rows]
-        for j in range(columns):
-            v = source[(j - columns // 2) % n_columns]
-            out[i, j] = v
-            highest = max(highest, v)
-    return highest
+    keep = np.float32(1) - rate
+    label = label_f.ravel()
+    gain = np.empty(label.size, np.complex64)
+    for m in range(blocks.shape[0]):
+        total, new = denominator[m].ravel(), energies[m].ravel()
+        for k in range(label.size):
+            total[k] = keep * total[k] + rate * new[k]
+            gain[k] = np.conj(label[k]) * (np.float32(1) / (total[k] + regularization))
+        for channel in range(blocks[m, 0], blocks[m, 1]):
+            w, a, z = filters[channel].ravel(), mean[channel].ravel(), spectra[channel].ravel()
+            for k in range(label.size):
+                a[k] = keep * a[k] + rate * z[k]
+                w[k] = gain[k] * a[k]

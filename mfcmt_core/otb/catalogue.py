@@ -21,6 +21,8 @@ ALWAYS_UPDATE: dict[str, Any] = {
     "usual_threshold": 0.0,
     "lost_after": 0,
 }
+ONE_FILTER: dict[str, Any] = {"background_interval": 0, "statistical_weight": 1.5}
+"""Only the ridge filter; the statistical map keeps its part of the sum."""
 FIXED_MERGE: dict[str, Any] = {"probability": "raw", "sharpness": 1, "statistical_weight": 0.3 / 0.7}
 """Staple's: 0.7 template + 0.3 histogram, of the responses as they are. For one template map."""
 
@@ -41,18 +43,23 @@ pixels, since grey sequences have nothing else."""
 CHOICES: dict[str, dict[str, Any]] = {
     "target-window": {"window": "target", "search_area_scale": 2.0},
     "patch-150": {"patch_size": 150},
-    "separate-filters": {"joint_filter": False, "statistical_weight": 4.5},
-    "average-filter": {"average": "filter"},
+    "separate-filters": {"joint_filter": False, "statistical_weight": 6.0},
+    "one-filter": ONE_FILTER,
+    "average-filter": {**ONE_FILTER, "average": "filter"},
+    "one-look": {"doubt_threshold": 0.0},
     "rate-0.02": {"template_learning_rate": 0.02},
     "clipped": {"probability": "clip"},
     "equal-weights": {"statistical_weight": 1.0},
     "raw-fhog": {"hog_epsilon": 1e-4},
     "never-lost": {"lost_after": 0},
 }
-"""``default-<choice>``: a choice in which default() differs from paper(), taken back alone."""
+"""``default-<choice>``: a choice in which default() differs from paper(), taken back alone. Filters themselves can
+be averaged only without the background-aware one: ``average-filter`` compares with ``one-filter``."""
+
+_AS_PUBLISHED: dict[str, Any] = {**ALWAYS_UPDATE, "background_interval": 0, "doubt_threshold": 0.0}
 
 _TEMPLATE_ONLY: dict[str, Any] = {
-    **ALWAYS_UPDATE,
+    **_AS_PUBLISHED,
     "probability": "raw",
     "sharpness": 1,
     "joint_filter": True,
@@ -64,7 +71,7 @@ _TEMPLATE_ONLY: dict[str, Any] = {
 SYSTEMS: dict[str, dict[str, Any]] = {
     # Bertinetto et al., 2016: HOG and colour histogram, fixed merge, every frame learned
     "staple": {
-        **ALWAYS_UPDATE,
+        **_AS_PUBLISHED,
         **FIXED_MERGE,
         "features": ("fhog",),
         "joint_filter": True,
@@ -136,7 +143,7 @@ SYSTEMS: dict[str, dict[str, Any]] = {
     },
     # Possegger et al., 2015: the colour histogram alone
     "dat": {
-        **ALWAYS_UPDATE,
+        **_AS_PUBLISHED,
         "features": (),
         "color_histogram": True,
         "probability": "raw",
@@ -161,8 +168,9 @@ def named_config(name: str) -> MFCMTConfig | None:
     changes = ABLATIONS.get(ablation) or CHOICES.get(ablation)
     if preset in PRESETS and changes:
         config = MFCMTConfig.preset(preset).replace(**changes)
-        if ablation == "fixed-merge" and not config.joint_filter:  # several template maps share the 0.7
-            config = config.replace(statistical_weight=config.statistical_weight * len(config.features))
+        if ablation == "fixed-merge":  # all template maps share the 0.7
+            maps = (1 if config.joint_filter else len(config.features)) + bool(config.background_interval)
+            config = config.replace(statistical_weight=config.statistical_weight * maps)
         return config
     return None
 

@@ -69,7 +69,23 @@ def sre(sequence: Sequence) -> list[Run]:
     ]
 
 
-PROTOCOLS: dict[str, Callable[[Sequence], list[Run]]] = {"OPE": ope, "TRE": tre, "SRE": sre}
+def shifted_starts(sequence: Sequence) -> list[Run]:
+    """Three passes, from the first annotated frame and from 10 and 20 frames later: not a toolkit's protocol.
+
+    A single pass turns on a few coincidences, a loss at an occlusion among them, that another start decides
+    anew; so a choice between trackers is made on several.
+    """
+    first = ope(sequence)[0].start
+    starts = [s for s in (first, first + 10, first + 20) if s < len(sequence) and sequence.valid[s]]
+    return [Run(f"{s - first + 1:02d}", s, _box(sequence.boxes[s])) for s in starts]
+
+
+PROTOCOLS: dict[str, Callable[[Sequence], list[Run]]] = {
+    "OPE": ope,
+    "TRE": tre,
+    "SRE": sre,
+    "STARTS": shifted_starts,
+}
 
 
 def shifted(box: Array, key: str, image_size: tuple[int, int] | None) -> Array:

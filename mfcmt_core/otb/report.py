@@ -27,6 +27,7 @@ NAMES = {
     "OPE": "one-pass evaluation",
     "TRE": "temporal robustness evaluation, 20 starts",
     "SRE": "spatial robustness evaluation, 12 perturbed boxes",
+    "STARTS": "three passes, from frames 1, 11 and 21",
 }
 
 Results = dict[str, list[Evaluation]]

@@ -18,6 +18,7 @@ from starlette.requests import ClientDisconnect, Request
 from ..problems import ProblemError
 from ..schemas import fields
 from ..schemas.packed import Unreadable, from_json, from_msgpack
+from ..sessions.meter import Room
 from ..settings import Settings
 
 JSON, MSGPACK, FORM = "application/json", "application/msgpack", "multipart/form-data"
@@ -126,13 +127,18 @@ async def _bounded(request: Request, limit: int, code: str) -> AsyncGenerator[by
     length = request.headers.get("content-length", "0")
     if length.isdecimal() and int(length[:20]) > limit:
         raise too_large
+    room: Room = request.app.state.service.uploads
     read_bytes = 0
-    async for part in request.stream():
-        read_bytes += len(part)
-        if read_bytes > limit:
-            raise too_large
-        if part:
-            yield part
+    try:
+        async for part in request.stream():
+            room.take(len(part))
+            read_bytes += len(part)
+            if read_bytes > limit:
+                raise too_large
+            if part:
+                yield part
+    finally:
+        room.give(read_bytes)
 
 
 def _map(kind: str, data: bytes) -> dict[str, Any]:
@@ -152,7 +158,7 @@ async def _form(request: Request, settings: Settings) -> Upload:
     body = _bounded(request, settings.max_frame_bytes + ENVELOPE_BYTES, "frame-too-large")
     parser = Parser(request.headers, body, max_files=1, max_fields=8, max_part_size=ENVELOPE_BYTES)
     try:
-        async with _in_time(settings):
+        async with _in_time(settings), contextlib.aclosing(body):
             form = await parser.parse()
     except (MultiPartException, KeyError, ValueError) as broken:
         raise ProblemError("bad-request", "not a multipart form of the kind that is read here") from broken

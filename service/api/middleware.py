@@ -19,7 +19,7 @@ from .answers import problem_response
 
 SANE_ID = re.compile(r"[A-Za-z0-9._:/+=-]{1,128}")
 # Calls that come all the time are logged at debug; frames only if they are tracked.
-PROBES = {"/livez", "/readyz", "/metrics"}
+PROBES = {"/livez", "/readyz", "/metrics", "/static/{path:path}"}
 FRAMES = "/v1/sessions/{session_id}/frames"
 STREAM = "/v1/sessions/{session_id}/stream"
 SAFE_HEADERS = (

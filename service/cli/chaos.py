@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
 def _told(report: Report, clip: str) -> Iterable[str]:
     plan = report.plan
     yield f"{plan.sessions} streams of {clip}, {plan.fps:g} frames/s each, {plan.lanes} lanes, seed {plan.seed}"
-    counts = ", ".join(f"{len(seconds)} {kind}" for kind, seconds in report.seconds.items())
+    counts = ", ".join(f"{count} {kind}" for kind, count in report.faults.items())
     yield f"faults injected    {counts}"
     refused = "".join(f", {count} refused with {code}" for code, count in report.refused.items())
     yield f"results lost       {report.lost} of {report.frames}{refused}"
@@ -67,7 +67,7 @@ def _told(report: Report, clip: str) -> Iterable[str]:
         what = "resumed" if kind in RESTARTS else "next result"
         yield (
             f"{f'{kind} to {what}':<24}median {statistics.median(seconds) * 1e3:6.0f} ms, max "
-            f"{max(seconds) * 1e3:6.0f} ms (of the last of all streams)"
+            f"{max(seconds) * 1e3:6.0f} ms, of {len(seconds)} streams hit"
         )
     if report.forgotten:
         yield f"forgotten by kill -9    at most {max(report.forgotten)} frames of learning"

@@ -26,6 +26,15 @@ class LaneLost(Exception):
 
 
 @dataclass(frozen=True, slots=True)
+class Place:
+    """In which lane a key is, and what became of its lane before: as in LaneLost, ``restart`` if it had none
+    here, nothing if it is the same."""
+
+    lane: int
+    cause: str
+
+
+@dataclass(frozen=True, slots=True)
 class KeysLost:
     """An event: a lane has died, and with it what it held for these keys."""
 
@@ -77,11 +86,8 @@ class Lanes(Protocol):
     def reserve(self, key: str) -> None:
         """Give ``key`` a place in the lane with the most room, now or never. Raises AtCapacity."""
 
-    async def regain(self, key: str) -> str:
-        """Give ``key``, whose lane was lost, a place again, when there is one. Raises LaneLost if it is released.
-
-        What became of its lane, as in LaneLost; ``restart`` if it never had one here, nothing if it has.
-        """
+    async def regain(self, key: str) -> Place:
+        """Give ``key``, whose lane was lost, a place again, when there is one. Raises LaneLost if it is released."""
 
     def holds(self, key: str) -> bool:
         """Whether ``key`` has a place in a lane."""

@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Iterator, Mapping
 from multiprocessing import forkserver
 from typing import Any
 
-from .interface import AtCapacity, Buffers, KeysLost, LaneEvent, LaneLost, LaneReady, LaneStatus, LaneUsage
+from .interface import AtCapacity, Buffers, KeysLost, LaneEvent, LaneLost, LaneReady, LaneStatus, LaneUsage, Place
 from .process import LaneProcess
 from .usage import cpu_s, rss_bytes
 
@@ -81,14 +81,14 @@ class LanePool:
             raise AtCapacity
         self._settle(key, lane)
 
-    async def regain(self, key: str) -> str:
-        """A place again for a key whose lane was lost, or that comes from another process; why. Raises LaneLost.
+    async def regain(self, key: str) -> Place:
+        """A place again for a key whose lane was lost, or that comes from another process. Raises LaneLost.
 
         The place is kept in the lane that takes the lost one's place, so that load stays spread; only if
         that one keeps dying, any other will do.
         """
         if key in self._homes:
-            return ""
+            return Place(self._homes[key].number, "")
         load = self._load()
         self._displaced.setdefault(key, (min(range(len(self._lanes)), key=load.__getitem__), "restart"))
         while True:
@@ -100,7 +100,7 @@ class LanePool:
             if lane is not None:
                 del self._displaced[key]
                 self._settle(key, lane)
-                return cause
+                return Place(lane.number, cause)
             self._changed.clear()
             await self._changed.wait()
             if key not in self._displaced:

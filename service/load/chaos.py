@@ -62,6 +62,7 @@ class Stream:
     refused: Counter[str] = field(default_factory=Counter)
     forgotten: list[int] = field(default_factory=list)
     seq: int = 0
+    session: str = ""
 
     def went_on(self, moment: float) -> bool:
         """Whether a frame that was sent after ``moment`` is answered."""
@@ -90,9 +91,10 @@ class Stream:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What came of it. ``seconds`` of a kind of fault: to the next result, of the stream that waited longest."""
+    """What came of it; of each kind of fault how many, and the ``seconds`` to the next result of each stream hit."""
 
     plan: Plan
+    faults: dict[str, int]
     seconds: dict[str, list[float]]
     frames: int
     lost: int
@@ -131,6 +133,7 @@ class _Run:
         self._random = random.Random(plan.seed)  # noqa: S311
         self._streams = [Stream() for _ in range(plan.sessions)]
         self._seconds: dict[str, list[float]] = {kind: [] for kind in (*LANE_FAULTS, *RESTARTS)}
+        self._faults: Counter[str] = Counter()
         self._over = False
 
     async def run(self) -> Report:
@@ -142,7 +145,7 @@ class _Run:
                 for session, stream in zip(sessions, self._streams, strict=True)
             ]
             try:
-                sure = await self._faults()
+                sure = await self._inject()
                 self._over = True
                 await asyncio.gather(*driving)
             finally:
@@ -157,7 +160,7 @@ class _Run:
                 undisturbed.take(result)
         return self._report(undisturbed, sure)
 
-    async def _faults(self) -> list[int]:
+    async def _inject(self) -> list[int]:
         """Inject all; how many frames of each stream were answered before the first ``kill -9`` of the service."""
         for number in range(self._plan.faults):
             await self._pause()
@@ -177,12 +180,15 @@ class _Run:
     async def _fault(self, kind: str) -> None:
         lanes = {role: pid for role, pid in server_processes(self._server.pid).items() if role.startswith("lane")}
         role, pid = self._random.choice(sorted(lanes.items()))
+        logged = len(self._server.log)
         if kind == "memory":
             await self._grow(pid)
         else:
             os.kill(pid, signal.Signals[kind])
         begun = time.monotonic()
-        await self._until_all_go_on(kind, begun, role)
+        await self._until_all_go_on(begun)
+        restored = self._server.log[logged:]
+        self._count(kind, begun, role, [stream for stream in self._streams if stream.session in restored])
 
     async def _grow(self, pid: int) -> None:
         try:
@@ -197,22 +203,30 @@ class _Run:
         os.kill(self._server.pid, how)
         while self._server.exit_code is None:
             await asyncio.sleep(0.01)
+        gone = time.monotonic()
         await asyncio.to_thread(self._server.start)
-        await self._until_all_go_on(kind, begun, "the service")
+        await self._until_all_go_on(gone)
+        self._count(kind, begun, "the service", self._streams, gone)
 
     async def _pause(self) -> None:
         await asyncio.sleep(self._random.uniform(*PAUSE_S))
 
-    async def _until_all_go_on(self, kind: str, begun: float, where: str) -> None:
+    async def _until_all_go_on(self, begun: float) -> None:
         give_up = time.monotonic() + PATIENCE_S
         while not all(stream.went_on(begun) for stream in self._streams):
             if time.monotonic() > give_up:
-                raise TimeoutError(f"{kind}: a stream has had no result for {PATIENCE_S:g} s")
+                raise TimeoutError(f"a stream has had no result for {PATIENCE_S:g} s")
             await asyncio.sleep(0.005)
-        self._seconds[kind].append(max(stream.next_result(begun) for stream in self._streams) - begun)
-        self._say(f"{kind} on {where}: all go on after {self._seconds[kind][-1]:.3f} s")
+
+    def _count(self, kind: str, begun: float, where: str, hit: list[Stream], gone: float | None = None) -> None:
+        """``gone`` is when the old process, which may still have answered, was no more."""
+        seconds = [stream.next_result(gone or begun) - begun for stream in hit]
+        self._faults[kind] += 1
+        self._seconds[kind] += seconds
+        self._say(f"{kind} on {where}: {len(hit)} streams go on, the last after {max(seconds, default=0):.3f} s")
 
     async def _drive(self, session: AsyncSession, stream: Stream) -> None:
+        stream.session = session.id
         results = session.stream(
             self._source(stream),
             mode="lossless",
@@ -243,6 +257,7 @@ class _Run:
         ]
         return Report(
             self._plan,
+            dict(self._faults),
             {kind: seconds for kind, seconds in self._seconds.items() if seconds},
             frames,
             frames - sum(len(stream.said) for stream in self._streams) - refused.total(),

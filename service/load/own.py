@@ -27,18 +27,24 @@ class ServerFailed(Exception):
 class OwnServer:
     """``mfcmt serve`` with ``settings`` (fields of :class:`service.settings.Settings`), ready when entered.
 
-    What the caller's environment sets as ``MFCMT_*`` does not reach it; ``environment`` is added to it.
+    ``port`` 0 takes a free one. What the caller's environment sets as ``MFCMT_*`` does not reach it;
+    ``environment`` is added to it.
     """
 
     def __init__(
-        self, *, start_s: float = START_S, environment: Mapping[str, str] | None = None, **settings: object
+        self,
+        *,
+        start_s: float = START_S,
+        port: int = 0,
+        environment: Mapping[str, str] | None = None,
+        **settings: object,
     ) -> None:
         self._start_s = start_s
         self._environment = environment or {}
         self._settings = settings
         self._process: subprocess.Popen[bytes] | None = None
         self._log = Path(tempfile.mkstemp(prefix="mfcmt-serve-", suffix=".log")[1])
-        self.port = 0
+        self.port = port
 
     @property
     def url(self) -> str:

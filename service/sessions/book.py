@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import hashlib
 import secrets
 import time
 from collections import Counter
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
@@ -18,6 +17,7 @@ from ..lanes.interface import AtCapacity, KeysLost, Lanes
 from ..observability.metrics import Metrics
 from ..problems import ProblemError, session_gone, session_not_found
 from ..settings import Settings
+from .idempotency import Creations
 from .keeper import Keeper, created_at_of, options_of
 from .memory import Memory
 from .session import Attachment, Options, Session
@@ -39,14 +39,6 @@ class Tombstone:
     detail: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Creation:
-    """What an Idempotency-Key has been used for."""
-
-    fingerprint: bytes
-    session: asyncio.Future[Session]
-
-
 class SessionBook:
     """All sessions of the service. ``clock`` gives seconds of a monotonic clock."""
 
@@ -58,7 +50,7 @@ class SessionBook:
         self.keeper = Keeper(settings, lanes, metrics)
         self._sessions: dict[str, Session] = {}
         self._tombstones: Memory[Tombstone] = Memory(settings.max_tombstones, settings.tombstone_s, clock)
-        self._creations: Memory[Creation] = Memory(settings.max_idempotency_keys, settings.idempotency_s, clock)
+        self._creations = Creations(settings.max_idempotency_keys, settings.idempotency_s, clock)
         self._opening: Counter[str] = Counter()
         self._ordinal = 0
 
@@ -90,18 +82,18 @@ class SessionBook:
     ) -> Session:
         """A session that has started on its first frame; the same one for the same ``key`` and content."""
 
-        async def make() -> Session:
+        async def make() -> str:
             session = self._open(owner, options)
             with self._undone_on_error(session):
                 await session.begin(data, boxes)
-            return session
+            return session.id
 
-        return await self._once(owner, key, data, repr((boxes, options)), make)
+        return self.find(owner, await self._creations.once(owner, key, data, repr((boxes, options)), make))
 
     async def restore(self, owner: str, snapshot: bytes, key: str | None) -> Session:
         """A session that goes on from a snapshot's contents, under a new id; the same one for the same ``key``."""
 
-        async def make() -> Session:
+        async def make() -> str:
             session = self._open(owner, Options("default", "reject", None, False, self._settings.idle_timeout_s))
             with self._undone_on_error(session):
                 told = await session.resume(snapshot)
@@ -109,9 +101,9 @@ class SessionBook:
                     told["preset"], told["on_resize"], told["label"], told["maps"], told["idle_timeout_s"]
                 )
                 self.keeper.safe(session)
-            return session
+            return session.id
 
-        return await self._once(owner, key, snapshot, "snapshot", make)
+        return self.find(owner, await self._creations.once(owner, key, snapshot, "snapshot", make))
 
     def end(self, session: Session, reason: str) -> None:
         """End a session: ``closed``, ``idle``, ``expired`` or ``lost``."""
@@ -203,33 +195,6 @@ class SessionBook:
             for session in self._sessions.values():
                 if not session.lane.held:
                     session.revive()
-
-    async def _once(
-        self, owner: str, key: str | None, data: bytes, rest: str, make: Callable[[], Awaitable[Session]]
-    ) -> Session:
-        if key is None:
-            return await make()
-        name = f"{owner} {key}"
-        fingerprint = await asyncio.to_thread(_fingerprint, data, rest)
-        known = self._creations.get(name)
-        if known is not None:
-            if known.fingerprint != fingerprint:
-                raise ProblemError("bad-request", "the Idempotency-Key was used with another body")
-            session = await asyncio.shield(known.session)
-            return self.find(owner, session.id)
-        future: asyncio.Future[Session] = asyncio.get_running_loop().create_future()
-        self._creations.put(name, Creation(fingerprint, future))
-        try:
-            session = await make()
-        except BaseException as failed:
-            # A refused creation may be tried again; whoever waits for this one gets the same answer.
-            self._creations.pop(name)
-            told = failed if isinstance(failed, ProblemError) else ProblemError("internal", "failed")
-            future.set_exception(told)
-            future.exception()
-            raise
-        future.set_result(session)
-        return session
 
     def _open(self, owner: str, options: Options) -> Session:
         """A place in a lane, taken at once or not at all, and a session around it."""
@@ -325,9 +290,3 @@ class SessionBook:
 
     def _attachments(self) -> list[Attachment]:
         return [s.attachment for s in self._sessions.values() if s.attachment is not None]
-
-
-def _fingerprint(data: bytes, rest: str) -> bytes:
-    digest = hashlib.sha256(rest.encode())
-    digest.update(data)
-    return digest.digest()

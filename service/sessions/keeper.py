@@ -14,7 +14,7 @@ from ..observability.metrics import Metrics
 from ..problems import ProblemError
 from ..settings import Settings
 from .journal import Budget
-from .lane_state import LaneState
+from .lane_state import LaneState, Turns
 from .session import Options, Session
 from .vault import Saved, Vault
 
@@ -27,6 +27,7 @@ class Keeper:
     def __init__(self, settings: Settings, lanes: Lanes, metrics: Metrics) -> None:
         self.budget = Budget(settings.max_recovery_bytes)
         self._settings, self._lanes, self._metrics = settings, lanes, metrics
+        self._turns = Turns()
         self._vault = Vault(Path(settings.state_dir), metrics) if settings.state_dir else None
 
     @property
@@ -36,7 +37,7 @@ class Keeper:
 
     def lane_state(self, sid: str) -> LaneState:
         """The lane side of a new session."""
-        return LaneState(sid, self._lanes, self.budget, self._settings, self._metrics)
+        return LaneState(sid, self._lanes, self._turns, self.budget, self._settings, self._metrics)
 
     def open(self) -> None:
         """Open the state directory, where there is one. Raises BadState."""

@@ -24,6 +24,13 @@ CHANGING = (None, "full-frame-needed")
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.recovery")
 
 
+class Turns(dict[int, asyncio.Semaphore]):
+    """Who restores in a lane: side by side all would be late, and one alone would leave the lane waiting."""
+
+    def __missing__(self, lane: int) -> asyncio.Semaphore:
+        return self.setdefault(lane, asyncio.Semaphore(2))
+
+
 class Poisoned(Exception):
     """One operation has ended two lanes in a row, or the state cannot be read; the text may be shown.
 
@@ -41,14 +48,17 @@ class LaneState:
     They raise LaneLost when the key is released, Poisoned, and at-capacity if no lane becomes ready.
     """
 
-    def __init__(self, key: str, lanes: Lanes, budget: Budget, settings: Settings, metrics: Metrics) -> None:
+    def __init__(
+        self, key: str, lanes: Lanes, turns: Turns, budget: Budget, settings: Settings, metrics: Metrics
+    ) -> None:
         self.journal = Journal(budget)
+        self._turns = turns
         self._key, self._lanes, self._budget = key, lanes, budget
         self._settings, self._metrics = settings, metrics
         self._suspect: Operation | None = None
         self._torn = False
-        # Early enough for the newest checkpoint to be on disk, and never to be more frames old than is said.
-        self._every = max(1, settings.checkpoint_every_frames - settings.credit_frames)
+        # So early that a checkpoint is on disk before the one before it is older than is said.
+        self._every = max(1, settings.checkpoint_every_frames - settings.checkpoint_every_frames // 4)
         # Sessions that began together should not all take their checkpoints at the same frame.
         self._due_frames = 1 + crc32(key.encode()) % self._every
 
@@ -101,8 +111,10 @@ class LaneState:
         while True:
             try:
                 async with asyncio.timeout(self._settings.recovery_timeout_s):
-                    cause = await self._lanes.regain(self._key) or cause
-                await self._replay()
+                    place = await self._lanes.regain(self._key)
+                cause = place.cause or cause
+                async with self._turns[place.lane]:
+                    await self._replay()
                 break
             except TimeoutError:
                 raise ProblemError("at-capacity", "no lane is ready for the session", retry_after_s=1.0) from None

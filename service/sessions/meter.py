@@ -84,6 +84,24 @@ class Meter:
         return account
 
 
+class Room:
+    """Bytes that are held at once, up to a limit."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._held = 0
+
+    def take(self, size: int) -> None:
+        """Hold so many more. Raises at-capacity."""
+        if self._held + size > self._limit:
+            raise ProblemError("at-capacity", "too much is being sent at once", retry_after_s=1.0)
+        self._held += size
+
+    def give(self, size: int) -> None:
+        """Hold so many less."""
+        self._held -= size
+
+
 def _too_many(what: str, wait_s: float) -> ProblemError:
     return ProblemError("rate-limited", f"too many {what}", retry_after_s=_told(wait_s))
 

@@ -19,8 +19,10 @@ def gray_cells(gray, window):
     return (means / 255 - 0.5) * window
 
 
-def color_name_cells(means, table, window):
-    return np.moveaxis(table[bin_pixels(means)], -1, 0) * window
+def color_name_cells(patch, table, window):
+    cells_y, cells_x = window.shape
+    means = patch.reshape(cells_y, CELL, cells_x, CELL, 3).astype(float).mean((1, 3))
+    return np.moveaxis(table[bin_pixels(np.floor(means + 0.5))], -1, 0) * window
 
 
 # --- fHOG ---
@@ -100,10 +102,14 @@ def count_colors(bins, inner, outer, size):
     return foreground / max(foreground.sum(), 1), background / max(background.sum(), 1)
 
 
-def learn_lookup(new_f, new_b, rate, foreground, background, unseen):
-    f, b = (1 - rate) * foreground + rate * new_f, (1 - rate) * background + rate * new_b
-    seen = f + b > 1e-12
-    return f, b, np.divide(f, f + b, out=np.full(f.shape, float(unseen)), where=seen)
+def learn_colors(bins, inner, outer, rate, foreground, background):
+    new_f, new_b = count_colors(bins, inner, outer, len(foreground))
+    return (1 - rate) * foreground + rate * new_f, (1 - rate) * background + rate * new_b
+
+
+def tabulate(foreground, background, unseen):
+    f, b = foreground.astype(float), background.astype(float)
+    return np.divide(f, f + b, out=np.full(f.shape, float(unseen)), where=f + b > 1e-12)
 
 
 def integral(bins, lookup):
@@ -132,18 +138,32 @@ def learn_filters(spectra, label_f, blocks, regularization, rate, filters):
     return (1 - rate) * filters + rate * new
 
 
-def learn_spectra(spectra, label_f, blocks, regularization, rate, numerator, denominator):
-    numerator = (1 - rate) * numerator + rate * np.conj(label_f) * spectra
+def learn_spectra(spectra, label_f, blocks, regularization, rate, mean, denominator):
+    mean = (1 - rate) * mean + rate * spectra
+    numerator = np.conj(label_f) * mean
     denominator = (1 - rate) * denominator + rate * np.stack([energy(spectra, block) for block in blocks])
     filters = np.concatenate(
         [numerator[a:b] / (d + regularization) for (a, b), d in zip(blocks, denominator, strict=True)]
     )
-    return numerator, denominator, filters
+    return mean, denominator, filters
 
 
-def center_response(response, shape):
-    ry, rx = shape[0] // 2, shape[1] // 2
-    return np.roll(response, (ry, rx), (0, 1))[: shape[0], : shape[1]]
+def solve_background(mean, label, power, before, penalty, filters, unmasked):
+    cells = mean.shape[1] ** 2
+    rest = mean * label + (penalty + before) * filters - unmasked
+    projection = (np.conj(mean) * rest).sum(0) / cells
+    return mean * label + penalty * filters - mean * projection / (penalty + power)
+
+
+# --- Fourier ---
+
+
+def fold_rows(grids):
+    """Sums and differences of opposite rows; a row that is its own opposite counts once."""
+    n = len(grids)
+    opposite = grids[-np.arange(n) % n]
+    even = np.where((2 * np.arange(n) % n == 0)[:, None], grids, grids + opposite)
+    return even[: n // 2 + 1], (grids - opposite)[1 : (n + 1) // 2]
 
 
 # --- fusion ---
@@ -194,23 +214,42 @@ def sample_scales(gray, center_x, center_y, step_x, step_y, shape):
     return out
 
 
-def scale_hog(samples, epsilon, window):
-    """fHOG of each scale's sample, (cells_y · cells_x · 31, scales)."""
-    columns = []
-    for s, weight in enumerate(window):
+def pack_quads(gray):
+    """Pixel, right, lower and lower right neighbour, (H, W, 4) uint8; the border repeats."""
+    padded = np.pad(gray, ((0, 1), (0, 1)), mode="edge")
+    return np.stack([padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]], axis=-1)
+
+
+def scale_histogram(samples):
+    """Votes of each scale's sample, (cells_y, 18, cells_x, scales)."""
+    histograms = []
+    for s in range(samples.shape[-1]):
         dx, dy = differences(samples[..., s])
-        histogram = histogram_cells(np.hypot(dx, dy), projections(dx, dy).argmax(0))
-        cells = normalize_cells(histogram, 1.0, epsilon)
-        columns.append(weight * np.moveaxis(cells, 0, -1).ravel())
-    return np.stack(columns, axis=1)
+        histograms.append(histogram_cells(np.hypot(dx, dy), projections(dx, dy).argmax(0)))
+    return np.stack(histograms, axis=-1)
 
 
-def respond_scales(spectra, numerator, denominator, regularization):
-    return (np.conj(numerator) * spectra).sum(0) / (denominator + regularization)
+def scale_features(histogram, epsilon, window):
+    """fHOG of each scale's sample times its weight, (cells_y · cells_x · 31, scales)."""
+    columns = [normalize_cells(histogram[..., s], w, epsilon) for s, w in enumerate(window)]
+    return np.stack([np.moveaxis(c, 0, -1).ravel() for c in columns], axis=1)
 
 
-def learn_scales(spectra, label_f, rate, numerator, denominator):
-    return (
-        (1 - rate) * numerator + rate * np.conj(label_f) * spectra,
-        (1 - rate) * denominator + rate * (np.abs(spectra) ** 2).sum(0),
-    )
+def fold(values, side):
+    """Of smaller, larger and present scales: the present one and the sums, and the differences."""
+    smaller, larger, present = values[..., :side], values[..., side : 2 * side], values[..., 2 * side, None]
+    return np.concatenate([present, larger + smaller], axis=-1), larger - smaller
+
+
+def complex_scales(waves, sums):
+    """Half spectra (features, M + 1), frequency 0 first."""
+    side = waves.shape[1] // 2
+    return np.concatenate([sums[:, None], waves[:, :side] - 1j * waves[:, side:]], axis=1)
+
+
+def respond_scales(spectra, mean):
+    return (np.conj(mean) * spectra).sum(0)
+
+
+def learn_scales(spectra, rate, mean, energy):
+    return (1 - rate) * mean + rate * spectra, (1 - rate) * energy + rate * (np.abs(spectra) ** 2).sum(0)

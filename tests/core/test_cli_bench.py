@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from mfcmt_core import MFCMT, synthetic
-from mfcmt_core.cli import UsageError, bench, measure, versus
+from mfcmt_core.cli import UsageError, bench, costs, measure, versus
 
 SCRIPT = Path(sys.executable).with_name("mfcmt")
 
@@ -38,6 +38,39 @@ def test_every_stage_is_clocked():
     assert report["stages_ms"]["everything else"]["calls"] == 1
     assert report["fps"] == pytest.approx(1e3 / report["update_ms"]["mean"])
     assert report["clips"][0]["frames"] == 30
+
+
+def test_the_slowest_frames_are_told_by_those_that_are_not_lost():
+    assert measure.spread(np.array([1.0] * 99 + [3.0] * 9)) == pytest.approx(3)
+    assert measure.spread(np.empty(0)) is None
+    config = MFCMT().config.replace(lost_after=1, fused_threshold=10.0)
+    timed = measure.timed_run(MFCMT(config), next(measure.synthetic_material("motion", 4)))
+    assert timed.lost.tolist() == [False, True, True, True]
+    report = bench.measure(measure.synthetic_material("motion", 30), "default", 1)
+    (clip,) = report["clips"]
+    assert clip["lost"] == 0
+    assert clip["p99_over_median"] >= 1
+    assert f"{clip['p99_over_median']:.2f}" in bench.table(report)
+
+
+def test_costs():
+    report = costs.measure(MFCMT().config, 6)
+    assert set(report["update_ms"]) == {"vga", "full_hd", "lost_vga", "lost_full_hd"}
+    assert all(ms > 0 for ms in report["update_ms"].values())
+    assert report["targets"]["10"] > report["targets"]["1"] > report["targets"]["decode_ms"] > 0
+    if report["cores"]:
+        assert report["cores"]["gain"] == pytest.approx(report["cores"]["two"] / report["cores"]["one"])
+    text = costs.table(report)
+    assert "1920×1080" in text
+    assert "10 targets" in text
+    assert json.loads(json.dumps(report, allow_nan=False)) == report
+
+
+def test_command_prints_costs():
+    done = run("--costs", "--frames", 4)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith(measure.cpu_name())
+    assert "lost, 640×480" in done.stdout
 
 
 def test_time_in_an_inner_stage_counts_there_alone(monkeypatch):
@@ -98,6 +131,7 @@ def test_command_on_folders_as_json(otb_like):
         (("--core", "4096"), "no core 4096"),
         (("--clip", "small", "--data", "."), "exclude"),
         (("--clip", "nosuch"), "nosuch"),
+        (("--costs", "--clip", "small"), "--costs"),
     ],
 )
 def test_bad_arguments_are_one_line_and_exit_2(args, says, tmp_path):
@@ -172,7 +206,9 @@ def test_peers_count_only_where_they_are_alive(monkeypatch):
         "broken on motion: RuntimeError",
         "speed of dead on motion: alive on 2 of 19 frames",
     ]
+    assert report["p99_over_median"]["motion"] >= 1
     text = versus.table(report)
+    assert "slower than a peer on:\n  none" in text
     assert "left out:" in text
     assert "absent: something is not installed" in text
     assert json.loads(json.dumps(report, allow_nan=False)) == report

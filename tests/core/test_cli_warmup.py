@@ -32,7 +32,7 @@ print(sum(len(d.stats.cache_hits) for d in warmup.dispatchers()))
 ONE_KERNEL = """
 import numpy as np
 from mfcmt_core.kernels.cells import gray_cells as k
-k(np.zeros((8, 8), np.uint8), np.ones((2, 2), np.float32), np.ones((2, 2), np.float32))
+k(np.zeros((8, 8), np.uint8), np.ones((2, 2), np.float32), 0, np.ones((2, 1, 2), np.float32))
 print(len(k.stats.cache_misses), len(k.stats.cache_hits))
 """
 

@@ -41,7 +41,7 @@ def test_cues_are_blocks_in_order():
     for cue, block in stack.blocks.items():
         if cue != "color_names":  # alone it would leave a grey target nothing
             alone = FeatureStack(CONFIG.replace(features=(cue,)), grey=False)
-            assert np.array_equal(alone.extract(patch()), everything[block])
+            assert np.array_equal(alone.extract(patch()), everything[:, block])
 
 
 def test_colour_names_are_left_out_of_grey_sequences():
@@ -58,7 +58,7 @@ def test_any_patch_size_gives_whole_cells(side):
     stack = FeatureStack(CONFIG.replace(patch_size=side), grey=False)
     features = stack.extract(patch(side)).copy()
     cells, rest = divmod(side, 4)
-    assert features.shape == (42, cells, cells)
+    assert features.shape == (cells, 42, cells)
     assert np.isfinite(features).all()
     inner = np.ascontiguousarray(patch(side)[rest // 2 :, rest // 2 :][: 4 * cells, : 4 * cells])
     whole = FeatureStack(CONFIG.replace(patch_size=4 * cells), grey=False)

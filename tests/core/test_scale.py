@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 
 from mfcmt_core import MFCMTConfig, synthetic
 from mfcmt_core.geometry import Frame
-from mfcmt_core.scale import ScaleModel
+from mfcmt_core.scale import ScaleModel, Spectra
+
+from .reference import complex_scales
 
 CONFIG = MFCMTConfig.default()
 SIZE = (320, 240)
@@ -31,7 +33,14 @@ def zoomed(image, factor, center=CENTER):
 
 
 def spectra(model, image, scale=1.0, center=CENTER):
-    return model.spectra(Frame.of(image), WITHIN, center, scale).copy()
+    seen = model.spectra(Frame.of(image), WITHIN, center, scale)
+    return Spectra(seen.waves.copy(), seen.sums.copy())
+
+
+def along_scales(spectra, count):
+    """What the spectra are of: windowed features (features, count), the present scale in the middle."""
+    half = complex_scales(spectra.waves, spectra.sums)[:, : count // 2 + 1]
+    return np.fft.fftshift(np.fft.irfft(half, count, axis=1), axes=1)
 
 
 def learned(image, base_size=(70.0, 60.0), **changes):
@@ -54,9 +63,9 @@ def test_the_scale_that_is_known_already_is_taken_into_account(image):
 
 
 def test_spectra_are_the_dft_over_scales(image):
-    """Of real samples: frequency 0 is their sum, and the inverse returns windowed features in [0, 1]."""
+    """The inverse returns windowed features in [0, 1], the more alike the nearer their scales."""
     model = learned(image)
-    samples = np.fft.irfft(spectra(model, image), model.count, axis=1)
+    samples = along_scales(spectra(model, image), model.count)
     assert samples.shape == (31 * model.width * model.height // 16, 33)
     assert samples.min() > -1e-4
     assert samples.max() <= 1
@@ -69,32 +78,47 @@ def test_filter_is_the_regression_along_scales(image):
     """Solved densely in one feature: min ‖w ⋆ x - y‖² + λ‖w‖² over circular shifts of scales."""
     model = learned(image)
     n = model.count
-    x = np.fft.irfft(spectra(model, image), n, axis=1)
+    x = along_scales(spectra(model, image), n)
     feature = int(np.abs(x).sum(1).argmax())
     one = ScaleModel(CONFIG, (70.0, 60.0))
-    one.numerator = one.numerator[:1].copy()
-    one.learn(np.fft.rfft(x[feature : feature + 1]).astype(np.complex64), first=True)
+    seen = spectra(model, image)
+    only = slice(feature, feature + 1)
+    one.mean = Spectra(np.zeros_like(seen.waves[only]), np.zeros_like(seen.sums[only]))
+    one.learn(Spectra(seen.waves[only], seen.sums[only]), first=True)
     shifts = np.stack([np.roll(x[feature], -d) for d in range(n)])
     label = np.exp(-0.5 * ((np.arange(n) - n // 2) / (np.sqrt(n) * CONFIG.scale_sigma_factor)) ** 2)
     penalty = CONFIG.scale_regularization
     w = np.linalg.solve(shifts.T @ shifts + penalty * np.eye(n), shifts.T @ label)
-    w_f = one.numerator[0] / (one.denominator + penalty)
-    np.testing.assert_allclose(np.fft.irfft(w_f, n), w, atol=1e-3)
+    mean = complex_scales(one.mean.waves, one.mean.sums)[0]
+    w_f = np.roll(one.label_f / (one.energy + penalty), 1) * mean
+    np.testing.assert_allclose(np.fft.fftshift(np.fft.irfft(w_f, n)), np.roll(w, n // 2), atol=1e-3)
 
 
 def test_learning_rate(image):
     model = learned(image, scale_learning_rate=0.1)
     other = learned(zoomed(image, 1.1), scale_learning_rate=0.1)
-    first = model.numerator.copy(), model.denominator.copy()
+    first, energy = model.mean.waves.copy(), model.energy.copy()
     model.learn(spectra(model, zoomed(image, 1.1)))
-    np.testing.assert_allclose(model.numerator, 0.9 * first[0] + 0.1 * other.numerator, atol=1e-3)
-    np.testing.assert_allclose(model.denominator, 0.9 * first[1] + 0.1 * other.denominator, rtol=1e-4)
+    np.testing.assert_allclose(model.mean.waves, 0.9 * first + 0.1 * other.mean.waves, atol=1e-3)
+    np.testing.assert_allclose(model.energy, 0.9 * energy + 0.1 * other.energy, rtol=1e-4)
 
 
 def test_scales_are_33_powers_of_the_step():
     model = ScaleModel(CONFIG, (50.0, 50.0))
-    np.testing.assert_allclose(model.factors[:33], 1.02 ** np.arange(-16.0, 17), rtol=1e-6)
+    np.testing.assert_allclose(model.factors, 1.02 ** np.arange(-16.0, 17), rtol=1e-6)
+    np.testing.assert_allclose(model.lane_factors[[0, 15, 16, 31, 32]], 1.02 ** np.array([-1.0, -16, 1, 16, 0]))
     assert not model.window[33:].any()
+
+
+@pytest.mark.parametrize("scales", [17, 21, 35])
+def test_another_number_of_scales(image, scales):
+    """Padded to whole lanes, and the padding counts for nothing."""
+    model = learned(image, num_scales=scales, scale_step=1.04)
+    assert model.estimate(spectra(model, image)) == 1
+    assert model.estimate(spectra(model, zoomed(image, 1.04))) == pytest.approx(1.04)
+    samples = along_scales(spectra(model, image), scales)
+    assert samples.min() > -1e-4
+    assert samples.max() <= 1
 
 
 @pytest.mark.parametrize("value", [0, 128, 255])

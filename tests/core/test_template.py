@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import fft
 
-from mfcmt_core import MFCMTConfig, synthetic
+from mfcmt_core import MFCMT, MFCMTConfig, synthetic
 from mfcmt_core.geometry import SearchWindow
 from mfcmt_core.template import TemplateModel
 
-CONFIG = MFCMTConfig.default().replace(patch_size=32, regularization=0.01)
+CONFIG = MFCMTConfig.default().replace(patch_size=32, regularization=0.01, background_interval=0)
 """Cells of 8×8: small enough to write every shift of the samples down."""
 N = 8
 
 
 def model(**changes) -> TemplateModel:
     config = CONFIG.replace(**changes)
-    return TemplateModel(config, SearchWindow(config, (60.0, 40.0)), grey=False)
+    window = SearchWindow(config, (60.0, 40.0))
+    window.reach = (N // 2 - 1, N // 2 - 1)
+    return TemplateModel(config, window, grey=False)
 
 
 def spectra_of(features):
@@ -60,7 +64,7 @@ def test_equation_2_solves_the_regression_of_equation_1(average, features):
     """min ‖A w - y‖² + λ ‖w‖² over all channels, λ in the scale of unnormalised transforms."""
     m = model(features=features, average=average)
     x = noise(0, m.features.channels)
-    m.learn(spectra_of(x), first=True)
+    m.learn(spectra_of(x))
     a, y = correlation_matrix(x), label_of(m).ravel()
     penalty = CONFIG.regularization * N * N
     w = np.linalg.solve(a.T @ a + penalty * np.eye(a.shape[1]), a.T @ y)
@@ -76,7 +80,7 @@ def test_equation_2_solves_the_regression_of_equation_1(average, features):
 
 def test_equation_3_is_the_dense_correlation():
     m = model()
-    m.learn(spectra_of(noise(0, m.features.channels)), first=True)
+    m.learn(spectra_of(noise(0, m.features.channels)))
     z = noise(1, m.features.channels)
     expected = (correlation_matrix(z) @ filter_in_space(m, (0, m.features.channels))).reshape(N, N)
     highest, out = respond(m, spectra_of(z))
@@ -88,7 +92,7 @@ def test_equation_3_is_the_dense_correlation():
 def test_equation_3_needs_the_conjugate_that_the_print_leaves_out(shift):
     m = model()
     x = noise(2, m.features.channels)
-    m.learn(spectra_of(x), first=True)
+    m.learn(spectra_of(x))
     z = spectra_of(np.roll(x, shift, (1, 2)))
     _, out = respond(m, z)
     assert np.unravel_index(out[0].argmax(), (7, 7)) == (3 + shift[0], 3 + shift[1])
@@ -102,13 +106,13 @@ def test_separate_filters_are_independent_regressions():
     m = model(joint_filter=False)
     assert m.names == ("gray", "fhog", "color_names")
     x, z = noise(3, m.features.channels), noise(4, m.features.channels)
-    m.learn(spectra_of(x), first=True)
+    m.learn(spectra_of(x))
     mean_peak, out = respond(m, spectra_of(z))
     peaks = []
     for k, (name, block) in enumerate(m.features.blocks.items()):
         alone = model(features=(name,) if name != "color_names" else ("gray", name), joint_filter=False)
         channels = x[block] if name != "color_names" else np.concatenate([x[:1], x[block]])
-        alone.learn(spectra_of(channels), first=True)
+        alone.learn(spectra_of(channels))
         np.testing.assert_allclose(m.filters[block], alone.filters[-x[block].shape[0] :], atol=1e-5)
         peaks.append(out[k].max())
     assert mean_peak == pytest.approx(np.mean(peaks))
@@ -117,11 +121,11 @@ def test_separate_filters_are_independent_regressions():
 def test_equation_11_averages_filters():
     m = model(average="filter", template_learning_rate=0.1)
     one, two = spectra_of(noise(5, 42)), spectra_of(noise(6, 42))
-    m.learn(two, first=True)
-    second = m.filters.copy()
-    m.learn(one, first=True)  # the first frame has a rate of 1: nothing of what was is left
-    first = m.filters.copy()
     m.learn(two)
+    second = m.filters.copy()
+    m.learn(one)  # the first frame has a rate of 1: nothing of what was is left
+    first = m.filters.copy()
+    m.learn(two, learned=0)
     np.testing.assert_allclose(m.filters, 0.9 * first + 0.1 * second, atol=1e-6)
 
 
@@ -130,7 +134,7 @@ def test_equation_11_on_spectra_minimises_the_weighted_sum_of_all_losses():
     m = model(features=("gray",), average="spectra", template_learning_rate=0.2)
     samples = [noise(seed, 1) for seed in (7, 8, 9)]
     for i, x in enumerate(samples):
-        m.learn(spectra_of(x), first=i == 0)
+        m.learn(spectra_of(x), learned=i - 1 if i else None)
     y, penalty = label_of(m).ravel(), CONFIG.regularization * N * N
     normal, right = penalty * np.eye(N * N), np.zeros(N * N)
     for weight, x in zip((0.64, 0.16, 0.2), samples, strict=True):
@@ -156,13 +160,34 @@ def test_label_is_a_gaussian_of_the_target_s_size(target, window):
 
 def test_a_moved_patch_is_found_where_it_moved_to():
     """From pixels to displacement: 12 px of the patch are 3 cells."""
-    config = MFCMTConfig.default()
+    config = MFCMTConfig.default().replace(background_interval=0)
     search = SearchWindow(config, (56.0, 44.0))
     m = TemplateModel(config, search, grey=False)
     image = synthetic.clip("motion").frames[0]
-    m.learn(m.spectra(np.ascontiguousarray(image[60:160, 100:200])), first=True)
+    m.learn(m.spectra(np.ascontiguousarray(image[60:160, 100:200])))
     out = np.empty((1, 2 * search.reach[1] + 1, 2 * search.reach[0] + 1), np.float32)
     for dx, dy in ((0, 0), (12, 0), (-8, 8), (4, -12)):
         m.respond(m.spectra(np.ascontiguousarray(image[60 - dy : 160 - dy, 100 - dx : 200 - dx])), out)
         row, column = np.unravel_index(out[0].argmax(), out[0].shape)
         assert (4 * (column - search.reach[0]), 4 * (row - search.reach[1])) == (dx, dy)
+
+
+def test_the_parts_of_a_joint_response_are_its_cues() -> None:
+    """Filters are linear in the channels: what the cues add is the response, and looking changes no bit of it."""
+    frames = synthetic.clip("motion", length=4)
+    watched, plain = MFCMT(), MFCMT()
+    for tracker in (watched, plain):
+        tracker.init(frames.frames[0], frames.boxes[0])
+    for frame in frames.frames[1:]:
+        seen = watched.update(frame, maps=True)
+        assert replace(seen, maps=None) == plain.update(frame)
+        assert seen.maps is not None
+        assert set(seen.maps) == {"fused", "template", "background", "statistical", "gray", "fhog", "color_names"}
+        assert all(one.shape == seen.maps["fused"].shape for one in seen.maps.values())
+        assert all(one.sum() == pytest.approx(1, abs=1e-3) for one in seen.maps.values())
+    joint = model()
+    spectra = spectra_of(noise(1, joint.features.channels))
+    joint.learn(spectra)
+    _, whole = respond(joint, spectra)
+    parts = joint.respond_by_cue(spectra)
+    assert sum(parts.values()) == pytest.approx(whole[0], abs=1e-4)

@@ -75,7 +75,7 @@ def test_an_occlusion_closes_the_gate():
 @pytest.mark.parametrize(
     ("config", "grey"),
     [
-        (DEFAULT, False),
+        (DEFAULT.replace(lost_after=15), False),
         (ALERT, False),
         (ALERT, True),
         (MFCMTConfig.paper().replace(lost_after=8), False),
@@ -320,7 +320,7 @@ def test_the_order_of_cues_does_not_matter(frames, clip, order):
         {"num_scales": 1},
         {"num_scales": 5, "scale_step": 1.1},
         {"joint_filter": False},
-        {"average": "filter"},
+        {"average": "filter", "background_interval": 0},
         {"probability": "raw"},
         {"probability": "clip", "sharpness": 2},
         {"window": "target"},
@@ -393,6 +393,7 @@ def test_maps_are_probability_maps(config, frames, clip):
         assert plain.maps is None
         assert dataclasses.replace(result, maps=None) == plain
         names = ["template"] if config.joint_filter else list(config.features)
+        names += ["background"] if config.background_interval else []
         assert list(result.maps) == ["fused", *names, *(["statistical"] if config.color_histogram else [])]
         assert len({m.shape for m in result.maps.values()}) == 1
         for values in result.maps.values():

@@ -30,7 +30,7 @@ def _told(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int | float) and value >= MIB and value % MIB == 0:
-        return f"{int(value)} ({int(value) // MIB} MiB)"
+        return f"{value:.0f} ({value / MIB:.0f} MiB)"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 

@@ -55,7 +55,10 @@ def test_the_project_asks_for_nothing_that_is_not_locked() -> None:
 def test_what_is_installed_is_what_is_locked() -> None:
     for requirement, _ in entries(LOCKS[0].read_text()):
         if requirement.marker is None or requirement.marker.evaluate():
-            installed = metadata.version(requirement.name)
+            try:
+                installed = metadata.version(requirement.name)
+            except metadata.PackageNotFoundError:
+                pytest.fail(f"{requirement.name} is locked and not installed: make setup")
             assert requirement.specifier.contains(installed, prereleases=True), f"{requirement} is {installed} here"
 
 

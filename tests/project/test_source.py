@@ -87,6 +87,22 @@ def test_secrets_come_from_the_system() -> None:
                 assert "random" not in imported(node), path
 
 
+def test_the_service_calls_nobody() -> None:
+    """No client is imported where calls are served: there is no URL that could be made to be fetched.
+
+    The Python client, what measures with it, and the exporter of spans to the collector that a setting names
+    are no part of that.
+    """
+    callers = {"httpx2", "httpx", "requests", "urllib3", "aiohttp", "ftplib", "smtplib", "http"}
+    elsewhere = ("service/client", "service/load", "service/cli", "service/observability/tracing.py")
+    for path, tree in trees():
+        if path.parts[0] == "service" and not str(path).startswith(elsewhere):
+            for node in ast.walk(tree):
+                assert not imported(node) & callers, f"{path}:{getattr(node, 'lineno', 0)}"
+                if isinstance(node, ast.Attribute | ast.Name):
+                    assert getattr(node, "attr", getattr(node, "id", "")) not in ("urlopen", "create_connection"), path
+
+
 @pytest.mark.parametrize("call", ["eval('1')", "import pickle", "from pickle import loads", "import dill as x"])
 def test_the_walk_sees_what_it_looks_for(call: str) -> None:
     nodes = list(ast.walk(ast.parse(call)))

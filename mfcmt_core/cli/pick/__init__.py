@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import secrets
 import sys
 import threading
@@ -24,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ...result import Box
+from ..screen import has_screen
 
 PAGES = {
     "/": ("page.html", "text/html; charset=utf-8"),
@@ -49,18 +49,13 @@ def pick_box(frame: npt.NDArray[np.uint8], *, browser: bool = True) -> Box:
     with PickServer(frame) as server:
         threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True).start()
         print(f"draw the box at {server.address}", file=sys.stderr, flush=True)
-        if browser and _has_screen():
+        if browser and has_screen():
             webbrowser.open(server.address)
         while not server.chosen.wait(0.5):  # short waits, so that Ctrl-C is heard everywhere
             pass
         server.shutdown()
         assert server.box is not None
         return server.box
-
-
-def _has_screen() -> bool:
-    """Without one, webbrowser would start a text browser in this very terminal."""
-    return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 class PickServer(ThreadingHTTPServer):

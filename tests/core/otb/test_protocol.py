@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mfcmt_core.otb import Dataset, Sequence, ope, sre, tre
-from mfcmt_core.otb.protocol import shifted, to_original_size
+from mfcmt_core.otb.protocol import shifted, shifted_starts, to_original_size
 
 
 def sequence(frames: int, *, omit: tuple[int, ...] = (), invalid: tuple[int, ...] = ()) -> Sequence:
@@ -21,6 +21,17 @@ def sequence(frames: int, *, omit: tuple[int, ...] = (), invalid: tuple[int, ...
 def test_ope_is_one_run_from_the_first_frame_on_the_true_box() -> None:
     (run,) = ope(sequence(50))
     assert (run.start, run.box, run.ratio) == (0, (9, 19, 40, 30), 1)
+
+
+def test_shifted_starts_are_three_passes() -> None:
+    runs = shifted_starts(sequence(50))
+    assert [(r.key, r.start, r.box[0]) for r in runs] == [
+        ("01", 0, 9),
+        ("11", 10, 19),
+        ("21", 20, 29),
+    ]
+    assert [r.start for r in shifted_starts(sequence(50, invalid=(0, 11)))] == [1, 21]
+    assert [r.start for r in shifted_starts(sequence(15))] == [0, 10]
 
 
 def test_tre_starts_by_the_rule_of_the_toolkit() -> None:

@@ -62,7 +62,7 @@ def three(otb_root: Path) -> Dataset:
     return open_otb(otb_root).select(["Deer", "Crossing", "Football1"])
 
 
-@pytest.mark.parametrize("protocol", ["OPE", "TRE", "SRE"])
+@pytest.mark.parametrize("protocol", ["OPE", "TRE", "SRE", "STARTS"])
 def test_finished_work_is_kept_until_code_or_config_change(three: Dataset, tmp_path: Path, protocol: str) -> None:
     dataset = three.select(["Football1"])
     first = Made()

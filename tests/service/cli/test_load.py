@@ -71,7 +71,7 @@ def test_load_without_a_server(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_demo_prints_lines_in_a_pipe(server: OwnServer, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["demo", str(folder), "--url", server.url, "--fps", "200", "--mode", "lossless"]) == 0
+    assert main(["demo", "--terminal", str(folder), "--url", server.url, "--fps", "200", "--mode", "lossless"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 1 + 11 + 1
     assert lines[1].startswith("frame    1  box")
@@ -79,13 +79,19 @@ def test_demo_prints_lines_in_a_pipe(server: OwnServer, folder: Path, capsys: py
 
 
 def test_demo_of_the_rendered_clip(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["demo", "--frames", "10", "--fps", "60"]) == 0
+    assert main(["demo", "--terminal", "--frames", "10", "--fps", "60"]) == 0
     assert "results in" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("arguments", [["--frames", "1"], ["--fps", "0"], ["no/such/video.mp4"], ["--box", "x"]])
 def test_demo_refuses_what_does_not_fit(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["demo", *arguments]) == 2
+    assert main(["demo", "--terminal", *arguments]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("arguments", [["--box", "1,2,3,4"], ["--port", "70000"], ["folder"]])
+def test_the_page_of_the_demo_takes_no_source(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["demo", "--no-browser", *arguments]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import gc
+import weakref
 from collections.abc import AsyncIterator, Sequence
 from typing import Any
 
 import pytest
 
-from service.lanes.interface import AtCapacity, Buffers, KeysLost, LaneEvent, LaneLost, LaneStatus, LaneUsage
+from service.lanes.interface import AtCapacity, Buffers, KeysLost, LaneEvent, LaneLost, LaneStatus, LaneUsage, Place
 from service.lanes.wire import decode_call, encode_reply
 from service.observability.metrics import Metrics
 from service.problems import ProblemError
@@ -38,10 +40,10 @@ class Lanes:
             raise AtCapacity
         self.keys.add(key)
 
-    async def regain(self, key: str) -> str:
+    async def regain(self, key: str) -> Place:
         await asyncio.sleep(0)
         self.reserve(key)
-        return "died"
+        return Place(0, "died")
 
     def holds(self, key: str) -> bool:
         return key in self.keys
@@ -275,3 +277,16 @@ async def test_one_operation_of_a_session_at_a_time() -> None:
     results = await asyncio.gather(*(session.track(frame) for frame in frames))
     assert [result["seq"] for result, *_ in results] == list(range(1, 11))
     assert len(session.trajectory) == 11
+
+
+async def test_a_key_that_is_remembered_keeps_no_session() -> None:
+    """For ten minutes an idempotency key answers; the session and its past go when it ends."""
+    world = World()
+    session = await world.create(key="k")
+    gone = weakref.ref(session)
+    world.book.close("me", session.id)
+    del session
+    gc.collect()
+    assert gone() is None
+    with pytest.raises(ProblemError, match="session-gone"):
+        await world.create(key="k")

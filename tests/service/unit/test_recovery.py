@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from prometheus_client import generate_latest
 
-from service.lanes.interface import AtCapacity, Buffers, LaneLost
+from service.lanes.interface import AtCapacity, Buffers, LaneLost, Place
 from service.lanes.pool import LanePool
 from service.lanes.process import LaneProcess
 from service.lanes.wire import Splitter, decode_call, decode_reply, encode_reply, framed
@@ -72,7 +72,7 @@ class Keeping(World):
 
 
 async def test_a_checkpoint_comes_every_so_many_frames_and_only_then() -> None:
-    world = Keeping(checkpoint_every_frames=12, credit_frames=2)
+    world = Keeping(checkpoint_every_frames=13)
     session = await world.create()
     for _ in range(40):
         await world.track(session)
@@ -188,7 +188,7 @@ async def test_a_session_without_a_lane_refuses_in_time_and_stays() -> None:
     world.lanes.keys.clear()
     regain = world.lanes.regain
 
-    async def never(key: str) -> str:
+    async def never(key: str) -> Place:
         await asyncio.sleep(60)
         raise AtCapacity
 
@@ -235,7 +235,7 @@ async def test_the_places_of_the_lost_are_kept() -> None:
     assert not pool.holds("a")
     fresh.ready = True
     pool._ready(fresh)
-    assert await asyncio.gather(*waiting) == ["died", "died"]
+    assert await asyncio.gather(*waiting) == [Place(fresh.number, "died")] * 2
     assert sorted(fresh.keys) == ["a", "c"]
     pool.reserve("f")
     pool.release("e")
@@ -243,7 +243,7 @@ async def test_the_places_of_the_lost_are_kept() -> None:
         pool._lanes[fresh.number].ready = False
         pool._lost(pool._lanes[fresh.number], "died")
     assert pool.status()[fresh.number].failing
-    assert await pool.regain("a") == "died"
+    assert (await pool.regain("a")).cause == "died"
     assert pool._homes["a"] is not pool._lanes[fresh.number]
     gone = asyncio.create_task(pool.regain("c"))
     await asyncio.sleep(0)

@@ -52,7 +52,7 @@ class OwnLanes(Lanes):
 
     async def call(self, key: str, request: Buffers) -> bytes:
         if key not in self.keys:
-            raise LaneLost
+            raise LaneLost("absent")
         try:
             return encode_reply(None, self.store.handle(*decode_call(memoryview(b"".join(request)))))
         except Refused as refused:

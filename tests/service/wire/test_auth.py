@@ -160,3 +160,33 @@ async def test_too_many_calls(serve: Serve) -> None:
     assert refused
     assert {a.json()["code"] for a in refused} == {"rate-limited"}
     assert all(int(a.headers["Retry-After"]) >= 1 for a in refused)
+
+
+async def test_no_secret_is_ever_logged(serve: Serve, clip: Clip) -> None:
+    """Whatever is asked with whichever credential, wherever it was put, even where every detail is logged."""
+    signing = "the-secret-that-signs-snapshots"
+    settings = {"api_keys": f"{KEY},{OTHER}", "admin_key": ADMIN, "signing_keys": signing, "log_level": "debug"}
+    wire = serve({"X-API-Key": KEY}, **settings)
+    sid = (await wire.create(clip.frames[0], clip.box))["id"]
+    ticket = (await wire.http.post(f"/v1/sessions/{sid}/ticket")).json()["ticket"]
+    snapshot = (await wire.http.get(f"/v1/sessions/{sid}/snapshot")).content
+    async with httpx2.AsyncClient(base_url=wire.server.url) as bare:
+        for secret in (KEY, OTHER, ADMIN, f"almost-{KEY}", ticket):
+            for headers in ({"X-API-Key": secret}, {"Authorization": f"Bearer {secret}"}, {"Cookie": f"key={secret}"}):
+                await bare.get("/v1/sessions", headers=headers)
+                await bare.get("/metrics", headers=headers)
+            await bare.get("/v1/sessions", params={"key": secret, "ticket": secret, "api_key": secret})
+            await bare.post("/v1/sessions", json={"key": secret, secret: 1}, headers={"X-API-Key": KEY})
+            await bare.get("/v1/sessions", headers={"X-API-Key": KEY, "X-Request-ID": "mine"})
+    wire.headers = {}
+    async with wire.stream(
+        sid, protocols=[f"mfcmt.ticket.{ticket}", "mfcmt.v1.json"], key=KEY, ticket=ticket
+    ) as stream:
+        attachment = stream.ready["attachment"]
+        await stream.say(type="meta", ts=KEY, region=[KEY])
+        await stream.refused()
+    await refusal(wire, sid, protocols=[f"mfcmt.ticket.{ticket}"])
+    log = wire.server.log
+    assert "unauthenticated" in log
+    for secret in (KEY, OTHER, ADMIN, ticket, attachment, signing, snapshot[20:40].hex()):
+        assert secret not in log

@@ -15,7 +15,7 @@ from service.lanes.confine import MAX_OPEN_FILES
 from service.load.clips import Clip
 from service.load.own import OwnServer
 from service.load.usage import server_processes
-from tests.conftest import require
+from tests.conftest import ROOT, require
 
 from .conftest import Serve
 
@@ -79,6 +79,21 @@ def test_what_a_lane_needs_stays(told: dict[str, object]) -> None:
     assert told["use a library"] == "done"
 
 
+def test_a_kernel_that_was_forgotten_is_compiled_in_memory(tmp_path: Path) -> None:
+    """What cannot be kept on disk is no fault."""
+    (tmp_path / "forgotten.py").write_text(
+        "from mfcmt_core.kernels._jit import kernel\n@kernel\ndef add(x, y):\n    return x + y\n"
+    )
+    code = "from forgotten import add; from service.lanes.confine import confine; confine(); print(add(20, 22))"
+    path = os.pathsep.join((str(tmp_path), str(ROOT)))
+    environment = os.environ | {"PYTHONPATH": path}
+    run = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert (run.returncode, run.stdout.strip()) == (0, "42"), run.stderr
+    assert not list(tmp_path.rglob("*.nbc"))
+
+
 async def test_every_lane_is_confined(serve: Serve, clip: Clip) -> None:
     """As the system sees it; and no lane was ever told a secret."""
     require(sys.platform == "linux", "confinement is Linux's")
@@ -112,3 +127,14 @@ async def test_every_lane_is_confined(serve: Serve, clip: Clip) -> None:
             assert len(spaces) == 3
     session = await wire.create(clip.frames[0], clip.box)
     assert (await wire.track(session["id"], clip.frames[1])).status_code == 200
+
+
+async def test_a_lane_works_in_one_thread(serve: Serve, clip: Clip) -> None:
+    """Also after it has decoded and tracked: a second one would double the time of the processor."""
+    require(sys.platform == "linux", "threads are counted in /proc")
+    wire = serve()
+    session = await wire.create(clip.frames[0], clip.box)
+    for frame in clip.frames[1:6]:
+        assert (await wire.track(session["id"], frame)).status_code == 200
+    (lane,) = (pid for role, pid in server_processes(wire.server.pid).items() if role.startswith("lane"))
+    assert len(os.listdir(f"/proc/{lane}/task")) == 1

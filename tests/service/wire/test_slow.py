@@ -6,14 +6,17 @@ import asyncio
 import contextlib
 import json
 import time
+from collections.abc import AsyncIterator, Iterator
 from typing import Any
 
 import httpx2
 import psutil
 import pytest
+from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
 from service.load.clips import Clip
+from service.load.own import OwnServer
 
 from .conftest import Serve, Wire
 
@@ -21,6 +24,23 @@ HOST = b"Host: service\r\n"
 # Ample on a busy machine, and far below what an unbounded wait would be.
 PATIENCE_S = 30.0
 Pair = tuple[asyncio.StreamReader, asyncio.StreamWriter]
+
+
+@pytest.fixture(scope="module")
+def short_times() -> Iterator[OwnServer]:
+    """A server that waits half a second for anything."""
+    with OwnServer(
+        lanes=1, head_timeout_s=0.5, body_timeout_s=0.5, send_timeout_s=0.5, max_frame_bytes=16 << 20
+    ) as own:
+        yield own
+
+
+@pytest.fixture
+async def wire(short_times: OwnServer) -> AsyncIterator[Wire]:
+    opened = Wire(short_times)
+    yield opened
+    await opened.http.aclose()
+    assert "Traceback" not in short_times.log
 
 
 async def dial(wire: Wire, sent: bytes = b"") -> Pair:
@@ -55,11 +75,9 @@ async def ended(pair: Pair) -> bytes:
     ],
     ids=["silent", "request line", "headers", "second head", "body", "handshake"],
 )
-async def test_a_connection_that_stops_midway_is_ended(serve: Serve, sent: bytes) -> None:
-    wire = serve(head_timeout_s=0.5, body_timeout_s=0.5)
+async def test_a_connection_that_stops_midway_is_ended(wire: Wire, sent: bytes) -> None:
     await ended(await dial(wire, sent))
     assert (await wire.http.get("/livez")).status_code == 200
-    assert "Traceback" not in wire.server.log
 
 
 async def trickled_s(pair: Pair) -> float:
@@ -75,15 +93,13 @@ async def trickled_s(pair: Pair) -> float:
     return time.monotonic() - began
 
 
-async def test_a_head_in_drops_has_one_time_for_all(serve: Serve) -> None:
+async def test_a_head_in_drops_has_one_time_for_all(wire: Wire) -> None:
     """Each byte in time, the whole never."""
-    wire = serve(head_timeout_s=1.0)
     assert await trickled_s(await dial(wire, b"GET /livez HTTP/1.1\r\nX-A: ")) < PATIENCE_S
 
 
-async def test_a_body_that_nobody_reads_has_its_time_too(serve: Serve) -> None:
+async def test_a_body_that_nobody_reads_has_its_time_too(wire: Wire) -> None:
     """The call is answered at once; what trickles in behind it does not keep the connection."""
-    wire = serve(head_timeout_s=1.0)
     pair = await dial(wire, b"GET /livez HTTP/1.1\r\n" + HOST + b"Content-Length: 1000000\r\n\r\n")
     assert b"200 OK" in await pair[0].read(1000)
     assert await trickled_s(pair) < PATIENCE_S
@@ -100,8 +116,7 @@ async def test_a_body_that_nobody_reads_has_its_time_too(serve: Serve) -> None:
     ],
     ids=["many headers", "endless header", "control character", "length", "smuggling"],
 )
-async def test_a_bad_head_is_a_problem(serve: Serve, head: bytes) -> None:
-    wire = serve()
+async def test_a_bad_head_is_a_problem(wire: Wire, head: bytes) -> None:
     received = await ended(await dial(wire, b"GET /livez HTTP/1.1\r\n" + HOST + head))
     if received:  # a reset may overtake the answer while we are still sending
         status, _, rest = received.partition(b"\r\n")
@@ -111,9 +126,8 @@ async def test_a_bad_head_is_a_problem(serve: Serve, head: bytes) -> None:
     assert (await wire.http.get("/livez")).status_code == 200
 
 
-async def test_who_does_not_read_the_answer_is_cut(serve: Serve, clip: Clip) -> None:
+async def test_who_does_not_read_the_answer_is_cut(wire: Wire, clip: Clip) -> None:
     """A large answer stays in our memory only for as long as it is being read."""
-    wire = serve(send_timeout_s=0.5, max_frame_bytes=16 << 20)
     frame = _padded(clip.frames[0], 12 << 20)
     sid = (await wire.create(frame, clip.box))["id"]
     reader, writer = await asyncio.open_connection("127.0.0.1", wire.server.port, limit=4096)
@@ -164,3 +178,72 @@ async def test_too_many_connections_are_told_so(serve: Serve, clip: Clip) -> Non
     async with asyncio.timeout(PATIENCE_S):
         while (await wire.http.get("/v1/sessions")).status_code != 200:
             await asyncio.sleep(0.05)
+
+
+async def test_an_upload_that_is_broken_off_leaves_no_trace(serve: Serve) -> None:
+    """No fault, no session, and a line that says so."""
+    wire = serve()
+    head = b"POST /v1/sessions HTTP/1.1\r\n" + HOST + b"Content-Type: multipart/form-data; boundary=b\r\n"
+    for rest in (b"Content-Length: 100000\r\n\r\n--b\r\n", b"Transfer-Encoding: chunked\r\n\r\n5\r\n--b\r\n"):
+        for _ in range(3):
+            _, writer = await dial(wire, head + rest)
+            await writer.drain()
+            writer.transport.abort()
+    async with asyncio.timeout(PATIENCE_S):
+        while wire.server.log.count('"path": "/v1/sessions"') < 6:
+            await asyncio.sleep(0.05)
+    assert "Traceback" not in wire.server.log
+    assert '"error"' not in wire.server.log
+    assert (await wire.http.get("/v1/sessions")).json()["sessions"] == []
+
+
+FORM_HEAD = b'--b\r\nContent-Disposition: form-data; name="frame"; filename="f"\r\n\r\n'
+TOO_LARGE = [
+    ("application/json", b"", "frame-too-large"),
+    ("application/msgpack", b"", "frame-too-large"),
+    ("multipart/form-data; boundary=b", FORM_HEAD, "frame-too-large"),
+    ("application/vnd.mfcmt.snapshot", b"", "body-too-large"),
+]
+
+
+async def test_a_body_above_its_limit(serve: Serve) -> None:
+    """Whether its length is told before or not: the same problem."""
+    wire = serve(max_frame_bytes=1_000_000, max_snapshot_bytes=1_000_000)
+
+    async def parts(head: bytes) -> AsyncIterator[bytes]:
+        yield head
+        for _ in range(200):
+            yield bytes(10_000)
+
+    for kind, head, code in TOO_LARGE:
+        for content in (head + bytes(2_000_000), parts(head)):
+            response = await wire.http.post("/v1/sessions", content=content, headers={"Content-Type": kind})
+            assert (response.status_code, response.json()["code"]) == (413, code)
+            assert response.headers["Content-Type"] == "application/problem+json"
+
+
+async def test_bodies_that_are_being_received_have_a_bound_together(serve: Serve, clip: Clip) -> None:
+    """Many clients that each send a large body slowly cannot fill the memory; what they held is free again."""
+    wire = serve(max_upload_bytes=4_000_000, body_timeout_s=PATIENCE_S)
+    head = b"POST /v1/sessions HTTP/1.1\r\n" + HOST + b"Content-Type: application/vnd.mfcmt.snapshot\r\n"
+    slow = [await dial(wire, head + b"Content-Length: 3000000\r\n\r\n" + bytes(1_900_000)) for _ in range(2)]
+    async with asyncio.timeout(PATIENCE_S):
+        while (response := await wire.post(clip.frames[0] + bytes(500_000), clip.box)).status_code != 503:
+            await asyncio.sleep(0.05)
+    assert response.json()["code"] == "at-capacity"
+    assert int(response.headers["Retry-After"]) >= 1
+    for _, writer in slow:
+        writer.transport.abort()
+    async with asyncio.timeout(PATIENCE_S):
+        while (await wire.post(clip.frames[0] + bytes(500_000), clip.box)).status_code != 201:
+            await asyncio.sleep(0.05)
+
+
+async def test_nothing_is_inflated(serve: Serve, clip: Clip) -> None:
+    """The extension is not negotiated, so that a small message cannot become a large one."""
+    wire = serve()
+    sid = (await wire.create(clip.frames[0], clip.box))["id"]
+    async with connect(f"ws{wire.server.url[4:]}/v1/sessions/{sid}/stream", compression="deflate") as socket:
+        assert socket.response is not None
+        assert "Sec-WebSocket-Extensions" not in socket.response.headers
+        assert not socket.protocol.extensions

@@ -1,0 +1,71 @@
+"""The background-aware template filter: what is learned stays inside the target's box.
+
+A correlation filter over the whole search window learns the surroundings along with the target. This one is
+the least-squares filter over every shift of the window among those that are zero outside the target's box
+(Kiani Galoogahi, Fagg & Lucey, "Learning Background-Aware Correlation Filters", ICCV 2017), found by the
+alternating direction method of multipliers: everything outside the box becomes a negative example.
+It errs elsewhere than the filter of equation 2, and so the two are worth more together than either alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from .fourier import Spectra
+from .geometry import SearchWindow
+from .kernels.background import solve_background
+from .kernels.template import energy
+from .workspace import scratch
+
+PENALTIES = (1.0, 10.0)
+"""ADMM's penalty in each of its iterations; the paper's schedule, which two iterations take far enough."""
+
+
+class BackgroundAwareFilter:
+    """``filters`` (channels, n, n // 2 + 1) complex64, applied as those of equation 3 are."""
+
+    def __init__(self, window: SearchWindow, channels: int, label_f: Spectra, regularization: float) -> None:
+        n, half = window.cells, window.cells // 2 + 1
+        self.regularization = regularization
+        self.label = (np.conj(label_f) / n**2).astype(np.complex64)
+        self.filters = np.zeros((channels, n, half), np.complex64)
+        self.all_channels = np.array([[0, channels]], np.int64)
+        frequencies, cells = np.arange(n), [_middle(n, side) for side in window.target]
+        rows = np.exp(2j * np.pi / n * np.outer(cells[1], frequencies))
+        self.rows_back, self.rows = rows.astype(np.complex64), rows.conj().T.astype(np.complex64)
+        angles = 2 * np.pi / n * np.outer(frequencies[:half], cells[0])
+        waves = np.stack([np.cos(angles), -np.sin(angles)], axis=1)
+        twice = np.where((frequencies[:half] == 0) | (2 * frequencies[:half] == n), 1, 2) / n**2
+        self.columns_back = (waves * twice[:, None, None]).reshape(2 * half, -1).astype(np.float32)
+        self.columns = np.ascontiguousarray(waves.reshape(2 * half, -1).T, np.float32)
+
+    def train(self, mean: Spectra) -> None:
+        """Solve for the running ``mean`` of the target's spectra, (channels, n, n // 2 + 1) complex64."""
+        power = scratch("background_power", mean.shape[1:])
+        energy(mean, self.all_channels[0], power)
+        power /= mean.shape[1] ** 2
+        unmasked = scratch("background_unmasked", mean.shape, np.complex64)
+        unmasked[:] = 0
+        self.filters[:] = 0
+        before = np.float32(0)
+        for penalty in map(np.float32, PENALTIES):
+            solve_background(mean, self.label, power, before, penalty, self.filters, unmasked)
+            np.multiply(self._masked(unmasked), np.float32(1 / (penalty + self.regularization)), out=self.filters)
+            before = penalty
+
+    def _masked(self, spectra: Spectra) -> Spectra:
+        """The spectra of what ``spectra`` have inside the target's box."""
+        channels, n, half = spectra.shape
+        by_rows = scratch("background_rows", (n, channels, half), np.complex64)
+        by_rows[:] = spectra.transpose(1, 0, 2)  # one product for all channels
+        waves: npt.NDArray[np.float32] = (self.rows_back @ by_rows.reshape(n, -1)).view(np.float32)
+        inside = (waves.reshape(-1, 2 * half) @ self.columns_back) @ self.columns
+        masked: Spectra = self.rows @ inside.view(np.complex64).reshape(self.rows.shape[1], -1)
+        return masked.reshape(n, channels, half).transpose(1, 0, 2)
+
+
+def _middle(cells: int, side: float) -> npt.NDArray[np.int64]:
+    """The cells of a side that the target takes."""
+    count = max(1, round(side))
+    return np.arange(count) + (cells - count) // 2

@@ -1,0 +1,96 @@
+"""The page at ``/`` and the files that it is made of, read once; nothing else of the disk is reachable."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+
+from fastapi import APIRouter
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
+
+router = APIRouter(include_in_schema=False)
+FOLDERS = ("page", "client")
+KINDS = {
+    ".css": "text/css; charset=utf-8",
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".json": "application/json",
+    ".mjs": "text/javascript; charset=utf-8",
+    ".png": "image/png",
+    ".svg": "image/svg+xml; charset=utf-8",
+    ".ts": "text/plain; charset=utf-8",
+    ".webm": "video/webm",
+    ".webmanifest": "application/manifest+json",
+}
+"""By the suffix; files of any other kind are not served."""
+PAGE_HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
+        "media-src 'self' blob:; connect-src 'self'; worker-src 'self'; manifest-src 'self'; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Permissions-Policy": "camera=(self), microphone=(), geolocation=()",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Asset:
+    """One file, as it is answered."""
+
+    body: bytes
+    kind: str
+    etag: str
+
+    @classmethod
+    def of(cls, body: bytes, suffix: str) -> Asset:
+        """A file of ``body``; ``suffix`` is one of :data:`KINDS`."""
+        return cls(body, KINDS[suffix], f'"{hashlib.sha256(body).hexdigest()[:32]}"')
+
+
+def load() -> dict[str, Asset]:
+    """All files of page and client by their path below ``/static/``."""
+    web = files("service").joinpath("web")
+    assets: dict[str, Asset] = {}
+    for folder in FOLDERS:
+        _collect(web.joinpath(folder), folder, assets)
+    return assets
+
+
+@router.get("/")
+async def page(request: Request) -> Response:
+    """The web page."""
+    return _answer(request, "page/index.html", PAGE_HEADERS)
+
+
+@router.get("/static/{path:path}")
+async def static(request: Request, path: str) -> Response:
+    """A file of the page or of the JavaScript client."""
+    return _answer(request, path, {})
+
+
+def _collect(folder: Traversable, path: str, assets: dict[str, Asset]) -> None:
+    if not folder.is_dir():
+        return
+    for entry in folder.iterdir():
+        suffix = entry.name[entry.name.rfind(".") :]
+        if entry.is_dir():
+            if entry.name not in ("node_modules", "__pycache__"):
+                _collect(entry, f"{path}/{entry.name}", assets)
+        elif suffix in KINDS:
+            assets[f"{path}/{entry.name}"] = Asset.of(entry.read_bytes(), suffix)
+
+
+def _answer(request: Request, path: str, extra: dict[str, str]) -> Response:
+    asset: Asset | None = request.app.state.assets.get(path)
+    if asset is None:
+        raise HTTPException(404)
+    # Asked for each time and mostly not sent again: a new version is there with the next reload.
+    headers = {"ETag": asset.etag, "Cache-Control": "no-cache", "Content-Type": asset.kind} | extra
+    if asset.etag in request.headers.get("if-none-match", ""):
+        return Response(status_code=304, headers=headers)
+    return Response(asset.body, headers=headers)

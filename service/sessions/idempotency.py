@@ -1,0 +1,66 @@
+"""Sessions that are made once, however often the client asks with the same Idempotency-Key."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+
+from ..problems import ProblemError
+from .memory import Memory
+
+
+@dataclass(frozen=True, slots=True)
+class Creation:
+    """What a key has been used for: the id, because a session must not outlive its end here."""
+
+    fingerprint: bytes
+    session: asyncio.Future[str]
+
+
+class Creations:
+    """At most ``most`` keys are remembered, each for ``seconds``."""
+
+    def __init__(self, most: int, seconds: float, clock: Callable[[], float]) -> None:
+        self._known: Memory[Creation] = Memory(most, seconds, clock)
+
+    async def once(
+        self, owner: str, key: str | None, data: bytes, rest: str, make: Callable[[], Awaitable[str]]
+    ) -> str:
+        """What ``make`` made, now or when the owner's ``key`` came first, with the same ``data`` and ``rest``.
+
+        Raises bad-request for a key that was used with others, and what ``make`` raises.
+        """
+        if key is None:
+            return await make()
+        name = f"{owner} {key}"
+        fingerprint = await asyncio.to_thread(_fingerprint, data, rest)
+        known = self._known.get(name)
+        if known is not None:
+            if known.fingerprint != fingerprint:
+                raise ProblemError("bad-request", "the Idempotency-Key was used with another body")
+            return await asyncio.shield(known.session)
+        future: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        self._known.put(name, Creation(fingerprint, future))
+        try:
+            made = await make()
+        except BaseException as failed:
+            # A refused creation may be tried again; whoever waits for this one gets the same answer.
+            self._known.pop(name)
+            told = failed if isinstance(failed, ProblemError) else ProblemError("internal", "failed")
+            future.set_exception(told)
+            future.exception()
+            raise
+        future.set_result(made)
+        return made
+
+    def sweep(self) -> None:
+        """Forget what is too old."""
+        self._known.sweep()
+
+
+def _fingerprint(data: bytes, rest: str) -> bytes:
+    digest = hashlib.sha256(rest.encode())
+    digest.update(data)
+    return digest.digest()

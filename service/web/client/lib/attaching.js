@@ -1,0 +1,126 @@
+/** Attaching to a session, at first and again after a break. */
+
+import { codecNamed } from "./codec.js";
+import { connect } from "./connection.js";
+import { MFCMTError, connectionLost, mayPass, streamEnded } from "./errors.js";
+
+const FIRST_DELAY_MS = 50;
+const LONGEST_DELAY_MS = 5000;
+const IN_BROWSER = typeof document !== "undefined" || typeof WorkerGlobalScope !== "undefined";
+
+export class Attaching {
+  #client;
+  #id;
+  #options;
+  #onMessage;
+  #onRetry;
+  #name = null;
+  #ticketSpent = false;
+  #stopped = false;
+  #hurry = () => {};
+
+  /** `onRetry(error, waitMs)` tells of every attempt that failed and will be repeated. */
+  constructor(client, id, options, onMessage, onRetry) {
+    this.#client = client;
+    this.#id = id;
+    this.#options = options;
+    this.#onMessage = onMessage;
+    this.#onRetry = onRetry;
+  }
+
+  /**
+   * A new connection after `pauseMs`, tried with back-off. Again, it takes over nothing but what an earlier one of
+   * ours left behind. Rejects with what ended the last attempt, when it cannot pass or the time is over.
+   */
+  async open(pauseMs) {
+    const giveUpAt = performance.now() + pauseMs + this.#options.reconnectForMs;
+    let delay = FIRST_DELAY_MS;
+    let wait = pauseMs;
+    for (;;) {
+      await this.#pause(wait);
+      if (this.#stopped) throw streamEnded();
+      try {
+        const connection = await this.#attempt();
+        if (this.#stopped) {
+          connection.abandon();
+          throw streamEnded();
+        }
+        this.#name = connection.ready.attachment;
+        return connection;
+      } catch (failed) {
+        if (this.#stopped) throw streamEnded();
+        const error = await this.#explained(failed);
+        if (performance.now() > giveUpAt || !mayPass(error)) throw error;
+        wait = Math.max(delay * (0.5 + Math.random() / 2), (error.retryAfter ?? 0) * 1000);
+        delay = Math.min(2 * delay, LONGEST_DELAY_MS);
+        this.#onRetry(error, wait);
+      }
+    }
+  }
+
+  /** Do not wait for the next attempt. */
+  hurry() {
+    this.#hurry();
+  }
+
+  stop() {
+    this.#stopped = true;
+    this.#hurry();
+  }
+
+  async #attempt() {
+    const { mode, codec, takeover } = this.#options;
+    const query = new URLSearchParams({ mode });
+    if (this.#name) query.set("resume", this.#name);
+    else if (takeover) query.set("takeover", "true");
+    const [loaded, ticket] = await Promise.all([codecNamed(codec), this.#ticket()]);
+    return connect({
+      WebSocket: this.#client.WebSocket,
+      url: this.#client.streamUrl(this.#id, query),
+      codec: loaded,
+      ticket,
+      timeoutMs: this.#client.timeoutMs,
+      onMessage: this.#onMessage,
+    });
+  }
+
+  /** A browser cannot show its key on a WebSocket; Node could, and does the same. */
+  async #ticket() {
+    const { ticket } = this.#options;
+    if (typeof ticket === "function") {
+      try {
+        return await ticket();
+      } catch (cause) {
+        throw cause instanceof MFCMTError ? cause : connectionLost("no ticket was given", cause);
+      }
+    }
+    if (ticket && !this.#ticketSpent) {
+      this.#ticketSpent = true;
+      return ticket;
+    }
+    if (!this.#client.key) return null;
+    return (await this.#client.ticket(this.#id, undefined, { timeoutMs: this.#options.stallMs })).ticket;
+  }
+
+  /** Outside of browsers a refused handshake is an HTTP status at best, without its problem: ask for the reason. */
+  async #explained(failed) {
+    if (IN_BROWSER || failed.type !== "about:blank" || this.#options.ticket) return failed;
+    try {
+      const { info } = await this.#client.getSession(this.#id);
+      if (!info.stream.attached) return failed;
+      return new MFCMTError({ code: "attached-elsewhere", status: 409, detail: "a stream is attached" });
+    } catch (error) {
+      return error;
+    }
+  }
+
+  #pause(ms) {
+    return new Promise((resolve) => {
+      const timer = setTimeout(resolve, ms);
+      this.#hurry = () => {
+        clearTimeout(timer);
+        resolve();
+      };
+    });
+  }
+}

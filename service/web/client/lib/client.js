@@ -1,0 +1,199 @@
+/** Sessions over HTTP. */
+
+import { bytesOf, isEncoded } from "./encoder.js";
+import { MFCMTError, aborted, connectionLost, ofResponse } from "./errors.js";
+import { encodeFrame } from "./frame.js";
+import { packed, withMapsAsBytes } from "./codec.js";
+import { Stream } from "./stream.js";
+
+const SNAPSHOT = "application/vnd.mfcmt.snapshot";
+// A call that may be repeated is tried this often when the server cannot be reached.
+const ATTEMPTS = 3;
+const RETRY_DELAY_MS = 100;
+
+const numbers = (box) => Array.from(box, Number);
+const path = (id) => `/v1/sessions/${encodeURIComponent(id)}`;
+
+export class Client {
+  #headers;
+  #fetch;
+
+  constructor({ url, key, fetch, WebSocket, timeoutMs = 30_000 } = {}) {
+    const page = globalThis.location?.href;
+    const origin = page?.startsWith("http") ? globalThis.location.origin : "http://127.0.0.1:8000";
+    this.url = new URL(url ?? origin, page?.startsWith("http") ? page : undefined).href.replace(/\/+$/, "");
+    this.timeoutMs = timeoutMs;
+    this.#headers = key ? { Authorization: `Bearer ${key}` } : {};
+    Object.defineProperty(this, "key", { value: key ?? null }); // not enumerable: no log shows it
+    this.#fetch = fetch ?? globalThis.fetch.bind(globalThis);
+    Object.defineProperty(this, "WebSocket", { value: WebSocket ?? globalThis.WebSocket });
+  }
+
+  async createSession({ frame, box, boxes, options, idempotencyKey, signal, ...encoding }) {
+    const form = new FormData();
+    form.append("frame", await this.#image(frame, encoding), "frame");
+    if (box) form.append("box", JSON.stringify(numbers(box)));
+    if (boxes) form.append("boxes", JSON.stringify(boxes.map(numbers)));
+    if (options) form.append("options", JSON.stringify(options));
+    return this.#create({ body: form, signal }, idempotencyKey);
+  }
+
+  async restoreSession(snapshot, { signal } = {}) {
+    return this.#create({ body: await bytesOf(snapshot), headers: { "Content-Type": SNAPSHOT }, signal });
+  }
+
+  async getSession(id) {
+    return new Session(this, await this.json("GET", path(id)));
+  }
+
+  async deleteSession(id) {
+    await this.call("DELETE", path(id));
+  }
+
+  async *sessions() {
+    let after = null;
+    do {
+      const query = after === null ? "" : `?after=${encodeURIComponent(after)}`;
+      const page = await this.json("GET", `/v1/sessions${query}`);
+      yield* page.sessions;
+      after = page.next;
+    } while (after !== null);
+  }
+
+  ticket(id, ttlS, more = {}) {
+    return this.json("POST", `${path(id)}/ticket`, { ...asJson(ttlS === undefined ? {} : { ttl_s: ttlS }), ...more });
+  }
+
+  /** The results after a `seq`, for a stream that was broken. */
+  async missed(id, after, more) {
+    return (await this.json("GET", `${path(id)}/trajectory?after=${after}`, more)).results;
+  }
+
+  capabilities() {
+    return this.json("GET", "/v1/capabilities");
+  }
+
+  stream(id, options = {}) {
+    if (!this.WebSocket) throw new MFCMTError({ code: "no-websocket", detail: "give the Client a WebSocket class" });
+    return new Stream(this, id, options);
+  }
+
+  /** Where a stream attaches. */
+  streamUrl(id, query) {
+    return `ws${this.url.slice("http".length)}${path(id)}/stream?${query}`;
+  }
+
+  /** One HTTP call; the decoded answer. */
+  async json(method, where, request) {
+    return withMapsAsBytes(await this.call(method, where, request, (response) => response.json()));
+  }
+
+  /** One HTTP call, repeated when the server cannot be reached and the call may be. */
+  async call(method, where, { headers, body, signal, timeoutMs = this.timeoutMs } = {}, read = (response) => response.arrayBuffer()) {
+    const attempts = method !== "POST" || headers?.["Idempotency-Key"] ? ATTEMPTS : 1;
+    for (let attempt = 1; ; attempt += 1) {
+      const limit = new AbortController();
+      const timer = setTimeout(() => limit.abort(), timeoutMs);
+      const abort = () => limit.abort();
+      signal?.addEventListener("abort", abort);
+      try {
+        if (signal?.aborted) throw aborted(signal.reason);
+        const request = { method, headers: { ...this.#headers, ...headers }, body, signal: limit.signal };
+        const response = await this.#fetch(this.url + where, { cache: "no-store", ...request });
+        if (!response.ok) throw await ofResponse(response);
+        return await read(response);
+      } catch (failed) {
+        if (failed instanceof MFCMTError) throw failed;
+        if (signal?.aborted) throw aborted(signal.reason);
+        if (attempt === attempts) throw connectionLost(`${this.url} cannot be reached`, failed);
+      } finally {
+        clearTimeout(timer);
+        signal?.removeEventListener("abort", abort);
+      }
+      await new Promise((resolve) => setTimeout(resolve, RETRY_DELAY_MS * 2 ** attempt));
+    }
+  }
+
+  /** A frame as a Blob. */
+  async #image(frame, encoding) {
+    if (!isEncoded(frame)) return (await encodeFrame(frame, encoding)).blob;
+    return frame instanceof Blob ? frame : new Blob([await bytesOf(frame)]);
+  }
+
+  async #create({ headers, ...request }, idempotencyKey = madeUpKey()) {
+    const call = { headers: { ...headers, "Idempotency-Key": idempotencyKey }, ...request };
+    return new Session(this, await this.json("POST", "/v1/sessions", call));
+  }
+}
+
+export class Session {
+  #client;
+  #path;
+
+  constructor(client, info) {
+    this.#client = client;
+    this.#path = path(info.id);
+    this.info = info;
+  }
+
+  get id() {
+    return this.info.id;
+  }
+
+  async refresh() {
+    this.info = await this.#client.json("GET", this.#path);
+    return this.info;
+  }
+
+  close() {
+    return this.#client.deleteSession(this.id);
+  }
+
+  async track(frame, { ts, region, seq, ...encoding } = {}) {
+    const image = isEncoded(frame) ? frame : (await encodeFrame(frame, { region, ...encoding })).blob;
+    const told = { frame: await bytesOf(image), ts, region, seq };
+    const body = await packed(Object.fromEntries(Object.entries(told).filter(([, value]) => value !== undefined)));
+    const headers = { "Content-Type": "application/msgpack" };
+    return this.#client.json("POST", `${this.#path}/frames`, { headers, body });
+  }
+
+  addTarget(box) {
+    return this.#client.json("POST", `${this.#path}/targets`, asJson({ box: numbers(box) }));
+  }
+
+  correctTarget(target, box) {
+    return this.#client.json("PUT", `${this.#path}/targets/${target}`, asJson({ box: numbers(box) }));
+  }
+
+  async removeTarget(target) {
+    await this.#client.call("DELETE", `${this.#path}/targets/${target}`);
+  }
+
+  async trajectory({ format = "json", after, target } = {}) {
+    const query = new URLSearchParams({ format });
+    if (after !== undefined) query.set("after", after);
+    if (target !== undefined) query.set("target", target);
+    const where = `${this.#path}/trajectory?${query}`;
+    if (format === "json") return (await this.#client.json("GET", where)).results;
+    return this.#client.call("GET", where, {}, (response) => response.text());
+  }
+
+  async snapshot() {
+    return new Uint8Array(await this.#client.call("GET", `${this.#path}/snapshot`));
+  }
+
+  ticket(ttlS) {
+    return this.#client.ticket(this.id, ttlS);
+  }
+
+  stream(options = {}) {
+    return this.#client.stream(this.id, options);
+  }
+}
+
+const asJson = (told) => ({ headers: { "Content-Type": "application/json" }, body: JSON.stringify(told) });
+
+/** `crypto.randomUUID` is there on secure origins only; a phone may test over plain HTTP. */
+function madeUpKey() {
+  return Array.from(crypto.getRandomValues(new Uint8Array(16)), (byte) => byte.toString(16).padStart(2, "0")).join("");
+}

@@ -1,0 +1,97 @@
+/** One attachment of a session over one WebSocket: no waiting for credit, no reconnecting. */
+
+import { MFCMTError, connectionLost, ofClose, ofHandshake } from "./errors.js";
+
+const OPEN = 1;
+
+/**
+ * Attach; resolves with the connection when the server has said `ready`, rejects with what it said instead.
+ * Later messages go to `onMessage`; `connection.closed` resolves with the error that ended it.
+ */
+export function connect({ WebSocket, url, codec, ticket, timeoutMs, onMessage }) {
+  return new Promise((resolve, reject) => {
+    const protocols = [codec.subprotocol, ...(ticket ? [`mfcmt.ticket.${ticket}`] : [])];
+    const socket = new WebSocket(url, protocols);
+    socket.binaryType = "arraybuffer";
+    const connection = new Connection(socket, codec);
+    let refusal = null;
+    let opened = false;
+
+    const fail = (error) => {
+      clearTimeout(timer);
+      connection.abandon();
+      if (opened) connection.end(error);
+      else reject(refusal ?? error);
+    };
+    const timer = setTimeout(() => fail(connectionLost("the server does not answer")), timeoutMs);
+    socket.onmessage = ({ data }) => {
+      let message;
+      try {
+        message = codec.read(data);
+      } catch (cause) {
+        fail(new MFCMTError({ code: "internal", detail: "what the server said cannot be read" }, { cause }));
+        return;
+      }
+      connection.heardAt = performance.now();
+      if (opened) {
+        onMessage(message);
+      } else if (message.type === "ready") {
+        clearTimeout(timer);
+        opened = true;
+        connection.ready = message;
+        resolve(connection);
+      } else if (message.type === "error") {
+        refusal = new MFCMTError(message.problem);
+      }
+    };
+    socket.onerror = (event) => {
+      refusal ??= ofHandshake(event.message); // a close follows
+    };
+    socket.onclose = ({ code, reason }) => fail(ofClose(code, reason));
+  });
+}
+
+class Connection {
+  #socket;
+  #codec;
+
+  constructor(socket, codec) {
+    this.#socket = socket;
+    this.#codec = codec;
+    this.ready = null;
+    this.closed = new Promise((resolve) => (this.end = resolve));
+    this.heardAt = performance.now();
+  }
+
+  /** Bytes that have not left for the network. */
+  get buffered() {
+    return this.#socket.bufferedAmount ?? 0;
+  }
+
+  /** Send an image and what belongs to it; false when the connection is no longer open. */
+  frame(bytes, beside) {
+    return this.#send(this.#codec.frame(bytes, beside));
+  }
+
+  control(message) {
+    return this.#send([this.#codec.control(message)]);
+  }
+
+  /** Close, and listen no more. */
+  abandon() {
+    const socket = this.#socket;
+    socket.onmessage = socket.onclose = null;
+    socket.onerror = () => {};
+    try {
+      socket.close(1000);
+    } catch {
+      // already closing
+    }
+  }
+
+  #send(parts) {
+    if (this.#socket.readyState !== OPEN) return false;
+    for (const part of parts) this.#socket.send(part);
+    return true;
+  }
+}

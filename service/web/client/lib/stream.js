@@ -1,0 +1,323 @@
+/** A stream of frames and results that outlives its connections. */
+
+import { Controls } from "./controls.js";
+import { Events, Inbox } from "./delivery.js";
+import { MFCMTError, aborted, streamEnded, unsupportedSource } from "./errors.js";
+import { follow } from "./follow.js";
+import { IMAGE_TYPE, QUALITY, regionsByDefault } from "./frame.js";
+import { Link } from "./link.js";
+import { Outbox } from "./outbox.js";
+import { deferred, quiet } from "./room.js";
+import { Stats } from "./stats.js";
+
+// Results that may wait unread before no more frames are taken.
+const MAX_UNREAD = 64;
+// In `latest` a superseded frame is told by the next result only; where the last frame was refused there may be
+// none, so the end waits this long for it.
+const LINGER_MS = 2000;
+
+const DEFAULTS = {
+  mode: "latest",
+  codec: "json",
+  regions: "auto",
+  quality: QUALITY,
+  imageType: IMAGE_TYPE,
+  maxSide: null,
+  encoder: "auto",
+  takeover: false,
+  reconnectForMs: 60_000,
+  stallMs: 10_000,
+};
+
+export class Stream {
+  #client;
+  #id;
+  #options;
+  #link;
+  #controls;
+  #outbox;
+  #events = new Events();
+  #inbox = new Inbox(() => this.#outbox.look());
+  #stats = new Stats();
+  #done = quiet(deferred());
+  #error = null;
+  #exhausted = false;
+  #brokenAt = 0;
+  #resumed = null;
+  #lastSeq = 0;
+
+  constructor(client, id, options) {
+    this.#client = client;
+    this.#id = id;
+    const given = Object.fromEntries(Object.entries(options).filter(([, value]) => value !== undefined));
+    this.#options = { ...DEFAULTS, ...given };
+    this.regions = this.#options.regions === "auto" ? regionsByDefault() : this.#options.regions;
+    this.quality = this.#options.quality;
+    this.maxSide = this.#options.maxSide;
+    this.info = null;
+    this.size = null;
+    this.region = null;
+    this.targets = [];
+    this.#link = new Link(client, id, this.#options, {
+      receive: (message) => this.#receive(message),
+      takeUp: (connection) => this.#takeUp(connection),
+      up: () => this.#up(),
+      down: (error) => this.#down(error),
+      status: (change) => this.#events.emit("status", change),
+      end: (error) => this.#end(error),
+      expecting: () => this.#outbox.inFlight > 0 || this.#controls.waiting,
+    });
+    this.#controls = new Controls(this.#link, () => (this.#outbox.wholeNext = true));
+    this.#outbox = new Outbox(this, this.#options, {
+      link: this.#link,
+      controls: this.#controls,
+      stats: this.#stats,
+      tell: {
+        ready: () => this.#events.emit("ready"),
+        settled: () => this.#endIfDone(),
+        failed: (error) => this.#problem(error),
+        rests: () => this.#inbox.unread >= MAX_UNREAD,
+      },
+    });
+    const { signal, frames } = this.#options;
+    const abort = () => this.#end(aborted(signal.reason));
+    signal?.addEventListener("abort", abort, { once: true });
+    if (signal?.aborted) abort();
+    else this.#link.run();
+    if (frames) this.#pump(frames);
+  }
+
+  get status() {
+    return this.#link.status;
+  }
+
+  get mode() {
+    return this.#options.mode;
+  }
+
+  get codec() {
+    return this.#options.codec;
+  }
+
+  get encoder() {
+    return this.#outbox.encoder;
+  }
+
+  get paused() {
+    return this.#outbox.paused;
+  }
+
+  get stats() {
+    return this.#stats.copy(this.#outbox.inFlight);
+  }
+
+  get canSend() {
+    return this.#outbox.free;
+  }
+
+  get ready() {
+    return this.#ended ? Promise.reject(this.#ended) : this.#outbox.freed;
+  }
+
+  get closed() {
+    return this.#done.promise;
+  }
+
+  get results() {
+    return this.#inbox.read();
+  }
+
+  [Symbol.asyncIterator]() {
+    return this.results;
+  }
+
+  on(event, listener) {
+    return this.#events.on(event, listener);
+  }
+
+  send(source, options = {}) {
+    return this.#send(source, options, this.mode === "lossless");
+  }
+
+  follow(video, options = {}) {
+    return follow(this, video, options, {
+      skip: () => (this.#stats.skipped += 1),
+      fail: (error) => this.#problem(error),
+    });
+  }
+
+  add(box, { onNext } = {}) {
+    return this.#controls.say({ type: "add", box: Array.from(box, Number) }, onNext);
+  }
+
+  correct(target, box, { onNext } = {}) {
+    return this.#controls.say({ type: "correct", target, box: Array.from(box, Number) }, onNext);
+  }
+
+  remove(target) {
+    return this.#controls.say({ type: "remove", target });
+  }
+
+  pause() {
+    this.#outbox.paused = true;
+    this.#outbox.look();
+  }
+
+  resume() {
+    this.#outbox.paused = false;
+    this.#outbox.look();
+  }
+
+  finish() {
+    this.#exhausted = true;
+    this.#endIfDone();
+    return this.closed;
+  }
+
+  close() {
+    this.#end(null);
+  }
+
+  /** What a caller is told who comes after the end. */
+  get #ended() {
+    return this.status === "closed" ? (this.#error ?? streamEnded()) : null;
+  }
+
+  async #send(source, options, waits) {
+    if (this.#ended) throw this.#ended;
+    try {
+      return await this.#outbox.send(source, options, waits);
+    } catch (error) {
+      throw this.#ended ?? error;
+    }
+  }
+
+  async #pump(frames) {
+    try {
+      for await (const frame of frames) {
+        if (this.#ended) return;
+        await this.#send(frame, { transfer: true }, true);
+      }
+      await this.finish();
+    } catch (error) {
+      this.#end(error instanceof MFCMTError ? error : unsupportedSource("the frames broke off", error));
+    }
+  }
+
+  // Connections
+
+  /** Fetch the results that were missed, send again what was not tracked; whether the connection is still there. */
+  async #takeUp(connection) {
+    const { ready } = connection;
+    const { session } = ready;
+    if (this.info === null) {
+      this.#lastSeq = session.seq;
+    } else if (this.#outbox.hasUpTo(session.seq)) {
+      try {
+        await this.#fetchMissed();
+      } catch (error) {
+        if (error.code === "connection-lost") {
+          connection.end(error);
+          return false;
+        }
+        this.#outbox.forgetUpTo(session.seq); // without a key they cannot be had
+      }
+    }
+    if (this.info) this.#resumed = { seq: session.seq, lostAfter: lostAfter(ready, this.#lastSeq) };
+    this.info = ready;
+    this.size = session.size;
+    this.region = session.region;
+    this.targets = session.targets;
+    this.#outbox.takeUp(connection);
+    return true;
+  }
+
+  async #fetchMissed() {
+    // What killed the stream may have left dead connections in the browser's pool too: do not wait long for them.
+    const timeoutMs = this.#options.stallMs;
+    for (const result of await this.#client.missed(this.#id, this.#lastSeq, { timeoutMs })) {
+      this.#answer({ type: "result", dropped: 0, timing: null, ...result });
+    }
+  }
+
+  #up() {
+    if (this.#resumed) {
+      this.#stats.reconnects += 1;
+      this.#events.emit("resumed", { ...this.#resumed, downMs: performance.now() - this.#brokenAt });
+    }
+    this.#resumed = null;
+    this.#brokenAt = 0;
+    this.#outbox.look();
+    this.#endIfDone();
+  }
+
+  #down(error) {
+    this.#brokenAt ||= performance.now();
+    this.#controls.fail(error);
+    this.#outbox.look();
+  }
+
+  // Messages in
+
+  #receive(message) {
+    if (this.#ended) return;
+    if (message.type === "result") this.#answer(message);
+    else if (message.type === "targets") this.#retarget(message);
+    else if (message.type === "error") this.#refuse(message);
+    else if (message.type === "draining") this.#link.drain(message.reconnect_in_s * 1000, message.resumable);
+    this.#outbox.look();
+    this.#endIfDone();
+  }
+
+  #answer(result) {
+    if (result.seq <= this.#lastSeq) return; // fetched already
+    this.#lastSeq = result.seq;
+    const takenAt = this.#outbox.answer(result.seq);
+    this.size = result.size;
+    this.region = result.region;
+    this.targets = result.targets;
+    this.#stats.answer(result.timing ? takenAt : null, result.dropped);
+    this.#inbox.put(result);
+    this.#events.emit("result", result);
+  }
+
+  #retarget(message) {
+    this.region = message.region;
+    this.targets = message.targets;
+    this.#controls.answer(message);
+    this.#events.emit("targets", message);
+  }
+
+  #refuse({ seq = null, ref = null, problem }) {
+    const error = new MFCMTError(problem, { seq, ref });
+    if (this.#controls.refuse(ref, error, this.regions)) return;
+    if (!this.#outbox.refuse(seq, error)) this.#problem(error);
+  }
+
+  #problem(error) {
+    if (!this.#ended) this.#events.emit("problem", error);
+  }
+
+  // The end
+
+  #endIfDone() {
+    if (!this.#exhausted || this.#outbox.busy) return;
+    if (this.#outbox.inFlight === 0) this.#end(null);
+    else if (this.mode === "latest" && !this.#outbox.awaitsLast) setTimeout(() => this.#end(null), LINGER_MS);
+  }
+
+  #end(error) {
+    if (this.status === "closed") return;
+    this.#error = error;
+    this.#link.close(error);
+    const why = error ?? streamEnded();
+    this.#outbox.close(why);
+    this.#controls.fail(why);
+    this.#inbox.end(error);
+    if (error) this.#done.reject(error);
+    else this.#done.resolve();
+  }
+}
+
+/** What a breakdown of the service took, if any of it had been told. */
+const lostAfter = ({ lost_after: known = null }, lastSeq) => (known !== null && known < lastSeq ? known : null);

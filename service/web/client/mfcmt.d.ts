@@ -1,0 +1,409 @@
+/// <reference lib="dom" />
+/** Client of the MFCMT tracking service, for browsers and Node. Wire objects keep the protocol's names (docs/protocol.md). */
+
+/** `[x, y, w, h]`: pixels of the whole frame as it is sent, 0-based, top-left corner, `w, h > 0`. */
+export type Box = [number, number, number, number];
+/** `[x, y, w, h]` in whole pixels of the frame. */
+export type Region = [number, number, number, number];
+/** `[w, h]` in pixels. */
+export type Size = [number, number];
+
+export type Mode = "latest" | "lossless";
+export type Codec = "json" | "msgpack";
+export type ImageType = "image/jpeg" | "image/png" | "image/webp";
+export type TargetStatus = "tracking" | "uncertain" | "lost";
+/** One value for each of: the fused map, the template map, the statistical map. */
+export interface PerMap<T> {
+  fused: T;
+  template: T;
+  statistical: T;
+}
+
+export interface Target {
+  id: number;
+  box: Box;
+  status: TargetStatus;
+  /** All three flags; null, as `flags`, `scores` and `psr`, on the frame that started the target. */
+  reliable: boolean | null;
+  flags: PerMap<boolean> | null;
+  scores: PerMap<number> | null;
+  psr: number | null;
+  updated: boolean;
+  scale: number;
+  /** Response maps as PNG images (with the option `maps`); bytes in both subprotocols. */
+  maps?: Record<string, Uint8Array<ArrayBuffer>> | null;
+}
+
+export interface Result {
+  type: "result";
+  seq: number;
+  ts: number | string | null;
+  size: Size;
+  /** Frames that newer ones replaced on the server since the previous result. */
+  dropped: number;
+  region: Region | null;
+  targets: Target[];
+  /** Null in a result that was fetched after a reconnect. */
+  timing: { queue_ms: number; decode_ms: number; track_ms: number } | null;
+}
+
+export interface SessionInfo {
+  id: string;
+  created_at: string;
+  expires_at: string;
+  label: string | null;
+  preset: string;
+  size: Size;
+  seq: number;
+  region: Region | null;
+  targets: Target[];
+  stream: { url: string; attached: boolean };
+}
+
+export interface Ready {
+  type: "ready";
+  session: SessionInfo;
+  mode: Mode;
+  credit: number | null;
+  region_lag: number;
+  next_seq: number;
+  attachment: string;
+  /** After a breakdown of the service: the last frame that the session knows; null otherwise. */
+  lost_after: number | null;
+}
+
+export interface TargetsMessage {
+  type: "targets";
+  ref?: number | string;
+  region: Region | null;
+  targets: Target[];
+}
+
+export interface TargetChange {
+  target: Target;
+  region: Region | null;
+}
+
+export interface Ticket {
+  ticket: string;
+  expires_at: string;
+}
+
+export interface PastResult {
+  seq: number;
+  ts: number | string | null;
+  size: Size;
+  region: Region | null;
+  targets: Target[];
+}
+
+export interface SessionOptions {
+  preset?: "default" | "paper";
+  idle_timeout_s?: number;
+  on_resize?: "reject" | "rescale";
+  label?: string;
+  maps?: boolean;
+}
+
+/** An encoded still image. */
+export type Encoded = Blob | ArrayBuffer | ArrayBufferView;
+/** Pixels that the client encodes (browsers only). */
+export type Pixels =
+  | HTMLVideoElement
+  | HTMLImageElement
+  | HTMLCanvasElement
+  | OffscreenCanvas
+  | ImageBitmap
+  | ImageData
+  | VideoFrame;
+export type Source = Encoded | Pixels;
+
+export type ProblemCode =
+  | "bad-request" | "unauthenticated" | "origin-refused" | "not-found" | "method-not-allowed" | "not-acceptable"
+  | "unsupported-media-type" | "session-not-found" | "target-not-found" | "attached-elsewhere" | "stale-frame"
+  | "full-frame-needed" | "session-gone" | "frame-too-large" | "body-too-large" | "unsupported-image"
+  | "frame-undecodable" | "frame-size-changed" | "bad-box" | "bad-region" | "bad-snapshot" | "too-many-targets"
+  | "over-credit" | "over-quota" | "rate-limited" | "internal" | "at-capacity" | "draining" | "deadline-exceeded";
+
+/** The problem document of RFC 9457, as the server sends it. */
+export interface ProblemDocument {
+  type: string;
+  title: string;
+  status: number;
+  detail: string;
+  code: string;
+  retry_after_s?: number;
+  reason?: string;
+  region?: Region | null;
+  request_id?: string;
+  [member: string]: unknown;
+}
+
+/**
+ * Everything this client throws on purpose. `code` is one of the protocol's problems, or of the client's own:
+ * `connection-lost` (the server cannot be reached, or not again in time), `stream-ended` (used after its end),
+ * `unsupported-source` (not a frame, or pixels where nothing can encode them), `aborted`, `no-websocket`.
+ */
+export class MFCMTError extends Error {
+  constructor(problem: Partial<ProblemDocument>, context?: { seq?: number | null; ref?: unknown; cause?: unknown });
+  readonly code: ProblemCode | "connection-lost" | "stream-ended" | "unsupported-source" | "aborted" | "no-websocket" | (string & {});
+  readonly type: string;
+  /** HTTP status; 0 where no server said anything. */
+  readonly status: number;
+  readonly title: string;
+  readonly detail: string;
+  /** Seconds after which trying again makes sense. */
+  readonly retryAfter: number | null;
+  /** How a session ended: `closed`, `idle`, `expired`, `lost`. */
+  readonly reason: string | null;
+  /** What a region must cover. */
+  readonly region: Region | null;
+  readonly requestId: string | null;
+  /** The stream's frame message that was refused. */
+  readonly seq: number | null;
+  readonly ref: unknown;
+  readonly problem: ProblemDocument;
+}
+
+export interface ClientOptions {
+  /** Base URL of the service; in a page its own origin by default, else `http://127.0.0.1:8000`. */
+  url?: string;
+  /** An API key. Streams then fetch a ticket for every handshake: keys never appear in a URL. */
+  key?: string;
+  fetch?: typeof fetch;
+  /** A WebSocket class; needed in Node 20 (npm `ws`), there from the start in browsers and Node 22. */
+  WebSocket?: new (url: string, protocols?: string[]) => unknown;
+  /** Limit of one HTTP call or handshake. Default 30,000. */
+  timeoutMs?: number;
+}
+
+/** How pixels become an image. */
+export interface EncodeOptions {
+  /** Default 0.8. */
+  quality?: number;
+  /** Default `image/jpeg`. */
+  imageType?: ImageType;
+  /** The longest side of the frame as it is sent; larger ones are scaled down. */
+  maxSide?: number;
+}
+
+export interface CreateOptions extends EncodeOptions {
+  /** The first frame. Boxes are in its pixels as it is sent: `fittedSize` tells its size where `maxSide` scales it. */
+  frame: Source;
+  box?: Box | number[];
+  boxes?: (Box | number[])[];
+  options?: SessionOptions;
+  /** Repeating the call with the same key and body gives the same session. Made up when not given. */
+  idempotencyKey?: string;
+  signal?: AbortSignal;
+}
+
+export interface StreamOptions extends EncodeOptions {
+  /** `latest` (default) drops what newer frames overtake; `lossless` answers every frame. */
+  mode?: Mode;
+  /** Default `json`. */
+  codec?: Codec;
+  /** Send only what the trackers need; `auto` (default) does so on mobile devices and when data is to be saved. */
+  regions?: "auto" | boolean;
+  /** Where pixels are encoded: `auto` (default) in a worker if the browser can, else on the main thread. */
+  encoder?: "auto" | "worker" | "main";
+  /** Frames to send, all of them; the stream finishes by itself afterwards. */
+  frames?: Iterable<Source> | AsyncIterable<Source>;
+  /** End another attachment of the session on attaching. Reconnecting never does. */
+  takeover?: boolean;
+  /** A ticket, or what gives one for each handshake: for pages that hold no key. */
+  ticket?: string | (() => string | Promise<string>);
+  /** For how long a broken connection is tried again. Default 60,000. */
+  reconnectForMs?: number;
+  /** Frames unanswered and nothing heard for this long: the connection counts as broken. Default 10,000. */
+  stallMs?: number;
+  signal?: AbortSignal;
+}
+
+export interface SendOptions {
+  /** Echoed in the result. */
+  ts?: number | string;
+  /** An encoded image shows only this part of the frame. */
+  region?: Region;
+  /** The frame's number; counted on by default. */
+  seq?: number;
+  /** The stream may consume the ImageBitmap or VideoFrame and closes it, instead of taking a copy. */
+  transfer?: boolean;
+  /** Send the whole frame even where a region would do. */
+  whole?: boolean;
+}
+
+export type StreamStatus = "connecting" | "open" | "resuming" | "draining" | "closed";
+
+export interface StreamStats {
+  /** Frames handed to the socket. */
+  sent: number;
+  /** Results received. */
+  answered: number;
+  /** Superseded on the server by newer frames (`latest`). */
+  dropped: number;
+  /** Not sent because the stream was busy, paused or not connected (`latest`). */
+  skipped: number;
+  refused: number;
+  /** Frames sent or waiting to be, without an answer yet. */
+  inFlight: number;
+  /** Of images only. */
+  bytesSent: number;
+  /** By regions; estimated from whole frames that are encoded now and then to know. */
+  bytesSaved: number;
+  /** From `send` to the result, of the last frame and over the last 120; null before the first. */
+  latencyMs: number | null;
+  latencyP50Ms: number | null;
+  latencyP95Ms: number | null;
+  /** Results a second, over the last two. */
+  rate: number;
+  /** Capturing and encoding the last frame. */
+  encodeMs: number | null;
+  reconnects: number;
+}
+
+export interface StatusChange {
+  status: StreamStatus;
+  previous: StreamStatus;
+  /** While `resuming` or `connecting`: why the last attempt failed; on `closed`: what ended the stream, if not its user. */
+  error: MFCMTError | null;
+  /** When the next attempt is made, from now. */
+  retryInMs: number | null;
+}
+
+/** A stream goes on after its connection broke. */
+export interface Resumed {
+  /** The last frame that the session knows. */
+  seq: number;
+  /** How long the stream was interrupted. */
+  downMs: number;
+  /**
+   * Null when nothing is lost. Else the service broke down: results above this number stand, but the trackers have
+   * forgotten what they learned from those frames.
+   */
+  lostAfter: number | null;
+}
+
+export interface StreamEvents {
+  result: Result;
+  status: StatusChange;
+  resumed: Resumed;
+  /** A frame was refused; the stream goes on. */
+  problem: MFCMTError;
+  /** The targets after a control or a change over HTTP. */
+  targets: TargetsMessage;
+  /** Another frame may be sent. */
+  ready: undefined;
+}
+
+/** One attachment of a session that outlives its connections. It connects as soon as it is made. */
+export class Stream {
+  readonly status: StreamStatus;
+  readonly mode: Mode;
+  readonly codec: Codec;
+  /** Whether only needed parts of pixels are sent; may be set at any time. */
+  regions: boolean;
+  /** JPEG quality and scaling of the coming frames; may be set at any time. */
+  quality: number;
+  maxSide: number | null;
+  /** Where pixels are encoded; null until the first are. */
+  readonly encoder: "worker" | "main" | null;
+  /** What the server said on attaching; null before. */
+  readonly info: Ready | null;
+  /** The session's frame; null before the stream is attached. */
+  readonly size: Size | null;
+  /** The targets as last told. */
+  readonly targets: Target[];
+  /** The part of the coming frames that is needed; null for none. */
+  readonly region: Region | null;
+  /** Whether a frame would be taken now. */
+  readonly canSend: boolean;
+  /** Resolves when a frame would be taken. Rejects when the stream has ended. */
+  readonly ready: Promise<void>;
+  /** Resolves when the stream has ended; rejects with what ended it if that was not its user. */
+  readonly closed: Promise<void>;
+  readonly paused: boolean;
+  /** The counters now (a copy). */
+  readonly stats: StreamStats;
+  /**
+   * Results in order; ends with the stream and throws what ended it. Iterate once; events and iteration may be
+   * used together. While many wait unread, `canSend` is false.
+   */
+  readonly results: AsyncIterableIterator<Result>;
+  /** The same as `results`. */
+  [Symbol.asyncIterator](): AsyncIterableIterator<Result>;
+
+  /**
+   * Send the frame that the source shows now. `latest`: a frame that cannot be taken now is skipped. `lossless`:
+   * waits for room. Resolves when it is handed to the socket, with its number, or with null if it was skipped.
+   * Rejects for a bad source or an ended stream; what the server refuses is told by `problem`.
+   */
+  send(source: Source, options?: SendOptions): Promise<number | null>;
+  /** Send each frame that a playing video shows, at most `fps` a second, until the function returned is called. */
+  follow(video: HTMLVideoElement, options?: { fps?: number }): () => void;
+  /** Start another target on the newest frame, or (`onNext`) on the next one sent. */
+  add(box: Box | number[], options?: { onNext?: boolean }): Promise<TargetsMessage>;
+  /** Put a target right on the newest frame, or (`onNext`) on the next one sent. */
+  correct(target: number, box: Box | number[], options?: { onNext?: boolean }): Promise<TargetsMessage>;
+  remove(target: number): Promise<TargetsMessage>;
+  /** Take no frames for now: in `latest` they are skipped, in `lossless` they wait. */
+  pause(): void;
+  resume(): void;
+  /** No more frames will come: resolves when all are answered and the stream has closed. */
+  finish(): Promise<void>;
+  /** End the attachment now; the session lives on. */
+  close(): void;
+  /** Listen; returns the function that stops it. */
+  on<K extends keyof StreamEvents>(event: K, listener: (detail: StreamEvents[K]) => void): () => void;
+}
+
+export class Session {
+  readonly id: string;
+  /** What the server last said of it. */
+  readonly info: SessionInfo;
+  refresh(): Promise<SessionInfo>;
+  /** End the session. */
+  close(): Promise<void>;
+  /** One frame over HTTP; streams are faster. */
+  track(frame: Source, options?: EncodeOptions & Pick<SendOptions, "ts" | "region" | "seq">): Promise<Result>;
+  addTarget(box: Box | number[]): Promise<TargetChange>;
+  correctTarget(target: number, box: Box | number[]): Promise<TargetChange>;
+  removeTarget(target: number): Promise<void>;
+  /** All results so far, or those after a `seq`. */
+  trajectory(options?: { format?: "json"; after?: number; target?: number }): Promise<PastResult[]>;
+  trajectory(options: { format: "csv" | "otb" | "mot"; after?: number; target?: number }): Promise<string>;
+  /** The session's whole state, for `Client.restoreSession`. */
+  snapshot(): Promise<Uint8Array<ArrayBuffer>>;
+  /** Admits one handshake of this session within `ttlS` seconds. */
+  ticket(ttlS?: number): Promise<Ticket>;
+  stream(options?: StreamOptions): Stream;
+}
+
+export class Client {
+  constructor(options?: ClientOptions);
+  readonly url: string;
+  createSession(options: CreateOptions): Promise<Session>;
+  /** Start a session where the one of the snapshot was. */
+  restoreSession(snapshot: Encoded, options?: { signal?: AbortSignal }): Promise<Session>;
+  getSession(id: string): Promise<Session>;
+  deleteSession(id: string): Promise<void>;
+  /** The caller's own sessions, page by page. */
+  sessions(): AsyncIterableIterator<SessionInfo>;
+  ticket(id: string, ttlS?: number): Promise<Ticket>;
+  /** Limits, presets, image types, versions. */
+  capabilities(): Promise<Record<string, any>>;
+  /** Attach to a session known by its id alone: with `ticket`, no key is needed. */
+  stream(id: string, options?: StreamOptions): Stream;
+}
+
+/** The image of a frame as a session or stream would send it. */
+export function encodeFrame(
+  source: Pixels,
+  options?: EncodeOptions & { region?: Region },
+): Promise<{ blob: Blob; size: Size }>;
+/** The size of a `width`×`height` frame when its longer side may be `maxSide` at most. */
+export function fittedSize(width: number, height: number, maxSide?: number | null): Size;
+/** What `regions: "auto"` means here: a mobile device, or a browser that is to save data. */
+export function regionsByDefault(): boolean;
+/** The version of this client. */
+export const VERSION: string;

@@ -1,0 +1,30 @@
+// Boxes as a file, in pixels of the source: 0-based, top-left corner.
+
+const COLUMNS = ["frame", "time_s", "target", "x", "y", "w", "h", "status", "reliable", "fused", "template", "statistical", "psr", "scale"];
+
+/** `frames` of the history. */
+export function toCsv(frames) {
+  const lines = frames.flatMap(({ seq, time, size, rows }) =>
+    rows.map(({ target, box, status, reliable, scores, psr, scale }) => {
+      const { fused, template, statistical } = scores ?? {};
+      const cells = [seq, seconds(time), target, ...pixels(box, size), status, reliable, fused, template, statistical, psr, scale];
+      return cells.map(cell).join(",");
+    }),
+  );
+  return [COLUMNS.join(","), ...lines, ""].join("\n");
+}
+
+/** `source` is its name. */
+export function toJson(frames, source) {
+  const told = frames.map(({ seq, time, size, rows }) => ({
+    frame: seq,
+    time_s: seconds(time),
+    size,
+    targets: rows.map(({ target, box, ...rest }) => ({ target, box: pixels(box, size), ...rest })),
+  }));
+  return `${JSON.stringify({ source, frames: told }, null, 1)}\n`;
+}
+
+const seconds = (time) => Math.round(time * 1e4) / 1e4;
+const pixels = ([x, y, w, h], [width, height]) => [x * width, y * height, w * width, h * height].map((v) => Math.round(v * 100) / 100);
+const cell = (value) => (typeof value === "number" && !Number.isInteger(value) ? Number(value.toFixed(4)) : (value ?? ""));

@@ -1,0 +1,77 @@
+// What has been seen of every target: its path, its scores, its status, and every box for the export.
+
+export const KEPT = 240; // samples of a strip
+const MAX_ROWS = 400_000;
+
+/** Boxes are fractions of the frame here, so that they outlive a change of the frame's size. */
+export class History {
+  targets = new Map();
+  #frames = [];
+  #rows = 0;
+  #next = 1;
+
+  /** A number for a target that is new to the page. */
+  number() {
+    return this.#next++;
+  }
+
+  clear() {
+    this.targets.clear();
+    this.#frames = [];
+    this.#rows = 0;
+    this.#next = 1;
+  }
+
+  /**
+   * Take a result in; `ids` are the page's numbers for its targets, `of` is the source's size at `time`.
+   * The changes of status it brought.
+   */
+  note({ seq, size, targets }, ids, time, of) {
+    const [width, height] = size;
+    const changes = [];
+    const rows = targets.map((target, i) => {
+      const [x, y, w, h] = target.box;
+      const box = [x / width, y / height, w / width, h / height];
+      const id = ids[i];
+      const known = this.targets.get(id) ?? { id, status: null, trail: [], samples: [] };
+      if (known.status !== target.status) changes.push({ id, from: known.status, to: target.status, seq, time });
+      Object.assign(known, { status: target.status, box, maps: target.maps ?? null });
+      push(known.trail, [box[0] + box[2] / 2, box[1] + box[3] / 2], KEPT);
+      push(known.samples, { scores: target.scores, flags: target.flags, psr: target.psr, status: target.status }, KEPT);
+      this.targets.set(id, known);
+      const { status, reliable, scores, psr, scale } = target;
+      return { target: id, box, status, reliable, scores, psr, scale };
+    });
+    for (const id of this.targets.keys()) if (!ids.includes(id)) this.targets.delete(id);
+    this.#keep({ seq, time, size: of, rows });
+    return changes;
+  }
+
+  /** A correction makes a new beginning. */
+  restart(id) {
+    const known = this.targets.get(id);
+    if (known) known.trail.length = 0;
+  }
+
+  get frames() {
+    return this.#frames;
+  }
+
+  /** The number that the next frame takes when a new session goes on. */
+  get next() {
+    return (this.#frames.at(-1)?.seq ?? -1) + 1;
+  }
+
+  #keep(frame) {
+    const last = this.#frames.at(-1);
+    if (last && last.time === frame.time) this.#rows -= this.#frames.pop().rows.length; // the same frame again, corrected
+    this.#frames.push(frame);
+    this.#rows += frame.rows.length;
+    while (this.#rows > MAX_ROWS) this.#rows -= this.#frames.shift().rows.length;
+  }
+}
+
+function push(list, value, most) {
+  list.push(value);
+  if (list.length > most) list.shift();
+}

@@ -1,0 +1,63 @@
+// Live strips of the chosen target: the three scores and the fused map's peak.
+
+import { byId, colour, crisp, el } from "./dom.js";
+import { KEPT } from "./history.js";
+
+const STRIPS = [
+  { name: "Fused", key: "fused", most: 2, help: "peak of the fused map over its mean of the last ten frames" },
+  { name: "Template", key: "template", most: 2, help: "the template maps' peak over its mean of the last ten frames" },
+  { name: "Statistical", key: "statistical", most: 2, help: "the colour histogram map's peak over its mean of the last ten frames" },
+  { name: "Fused peak", key: "psr", most: 0, help: "peak-to-sidelobe ratio of the fused map" },
+];
+
+export class Strips {
+  #rows = STRIPS.map((strip) => {
+    const canvas = el("canvas", { role: "img" });
+    canvas.setAttribute("aria-label", strip.help);
+    const value = el("output", { textContent: "–" });
+    const row = el("div", { className: "strip", title: strip.help }, el("span", { className: "name", textContent: strip.name }), canvas, value);
+    row.dataset.key = strip.key;
+    return { ...strip, canvas, value, row };
+  });
+
+  constructor() {
+    byId("strips").append(...this.#rows.map(({ row }) => row));
+  }
+
+  /** Draw the samples of `target` (of the history), or nothing. */
+  draw(target) {
+    byId("strips-of").textContent = target ? `target ${target.id}` : "";
+    const samples = target?.samples ?? [];
+    for (const strip of this.#rows) {
+      const values = samples.map(({ scores, psr }) => (strip.key === "psr" ? psr : scores?.[strip.key]) ?? null);
+      const passed = samples.map(({ flags }) => (strip.key === "psr" ? true : (flags?.[strip.key] ?? true)));
+      const last = values.at(-1);
+      strip.value.textContent = last == null ? "–" : last > 99 ? ">99" : last.toFixed(last < 10 ? 2 : 1);
+      strip.row.dataset.passed = passed.at(-1) ?? true;
+      chart(strip, values, passed);
+    }
+  }
+}
+
+function chart({ canvas, most }, values, passed) {
+  const { context, width, height } = crisp(canvas);
+  context.clearRect(0, 0, width, height);
+  const top = most || Math.max(20, ...values.filter((value) => value !== null)) * 1.1;
+  const y = (value) => height - 2 - (Math.min(value, top) / top) * (height - 4);
+  const x = (i) => width - (values.length - i) * (width / KEPT);
+  if (most) {
+    context.fillStyle = colour("--line");
+    context.fillRect(0, Math.round(y(1)), width, 1); // as on the frames before
+  }
+  context.fillStyle = colour("--uncertain");
+  passed.forEach((fine, i) => fine || context.fillRect(x(i), 0, Math.max(1, width / KEPT), height));
+  context.strokeStyle = colour("--ink");
+  context.lineWidth = 1.25;
+  context.beginPath();
+  let open = false;
+  values.forEach((value, i) => {
+    if (value !== null) context[open ? "lineTo" : "moveTo"](x(i), y(value));
+    open = value !== null;
+  });
+  context.stroke();
+}

@@ -1,0 +1,57 @@
+// What the page says when something breaks, is refused, or comes back.
+
+import { connection, log, notice } from "./panels.js";
+import { explain } from "./problems.js";
+
+const SAME_PROBLEM_MS = 3000;
+
+export class Trouble {
+  lost = false;
+  #last = { code: null, at: 0 };
+
+  /** `clock()` gives the time shown, `askKey(error)` resolves to whether a key was given. */
+  constructor({ clock, askKey }) {
+    Object.assign(this, { clock, askKey });
+  }
+
+  /** The stream's status has changed. */
+  status({ status }) {
+    if (status === "open") {
+      connection("Tracking", "good");
+      if (!this.lost) return;
+      this.lost = false;
+      log.add(this.clock(), "Connection", "is back; tracking goes on");
+      notice.hide();
+    } else if (status === "resuming" || status === "draining") {
+      connection("Reconnecting…", "busy");
+      if (this.lost) return;
+      this.lost = true;
+      const text = status === "draining" ? "The server is being restarted." : "The network or the server broke off.";
+      log.add(this.clock(), "Connection", "lost; trying again");
+      notice.show({ title: "Reconnecting", text: `${text} Tracking goes on by itself.` }, { tone: "busy" });
+    }
+  }
+
+  /** One frame was refused; the run goes on. */
+  refused(error) {
+    const now = performance.now();
+    if (error.code === this.#last.code && now - this.#last.at < SAME_PROBLEM_MS) return;
+    this.#last = { code: error.code, at: now };
+    log.add(this.clock(), "Refused", error.detail || error.code, "uncertain");
+  }
+
+  /** A run ended, and nobody wanted it. */
+  ended(error, remedies) {
+    this.lost = false;
+    log.add(this.clock(), "Ended", explain(error).title, "lost");
+    this.tell(error, remedies);
+  }
+
+  /** Say what happened; `again` and `restart` do something about it, where they can. */
+  tell(error, { again = null, restart = null } = {}) {
+    const told = explain(error);
+    const ask = async () => (await this.askKey(error)) && (again ?? restart)?.();
+    notice.show(told, { onaction: { again, restart, key: ask }[told.action] });
+    if (told.action === "key") ask();
+  }
+}

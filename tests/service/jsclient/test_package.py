@@ -1,0 +1,102 @@
+"""The client as a package: its types, its contents, what it vendors."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import shutil
+import subprocess
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from tests.conftest import ROOT, require
+
+from .conftest import HERE, PACKAGE
+
+VENDOR = PACKAGE / "vendor"
+
+
+def output(*call: str, cwd: Path = HERE) -> str:
+    done = subprocess.run(call, cwd=cwd, capture_output=True, text=True, timeout=180, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_types_fit_what_people_write(node: str) -> None:
+    """Strict, with the checks of the declaration file itself."""
+    assert output(node, "node_modules/typescript/bin/tsc", "-p", ".") == ""
+
+
+def test_types_name_what_is_there(node: str) -> None:
+    told = json.loads(output(node, "surface.mjs"))
+    assert told["declared"] == told["present"]
+
+
+def test_npm_package(node: str, tmp_path: Path) -> None:
+    """What would be published is complete and has nothing else in it; it can be imported from there."""
+    npm = shutil.which("npm")
+    require(npm is not None, "no npm")
+    assert npm is not None
+    packed: dict[str, Any] = json.loads(output(npm, "pack", "--dry-run", "--json", "--silent", cwd=PACKAGE))[0]
+    listed = {file["path"] for file in packed["files"]}
+    there = {str(path.relative_to(PACKAGE)) for path in PACKAGE.rglob("*") if path.is_file()}
+    assert listed == there
+    manifest = json.loads((PACKAGE / "package.json").read_text())
+    assert not any("ependencies" in field for field in manifest)
+    assert manifest["version"] == version("mfcmt")
+    assert f'VERSION = "{manifest["version"]}"' in (PACKAGE / "mfcmt.js").read_text()
+    for field in (manifest["main"], manifest["types"], *manifest["exports"]["."].values()):
+        assert field.removeprefix("./") in listed
+    installed = tmp_path / "node_modules" / "mfcmt-client"
+    shutil.copytree(PACKAGE, installed)
+    (tmp_path / "main.mjs").write_text(
+        'import * as all from "mfcmt-client"; console.log(Object.keys(all).sort().join());'
+    )
+    expected = "Client,MFCMTError,Session,Stream,VERSION,encodeFrame,fittedSize,regionsByDefault"
+    assert output(node, "main.mjs", cwd=tmp_path).strip() == expected
+
+
+def test_vendored_files_are_those_of_the_package() -> None:
+    told = dict(
+        reversed(line.split()) for line in re.findall(r"^[0-9a-f]{64} .*$", (VENDOR / "README.md").read_text(), re.M)
+    )
+    there = {str(path.relative_to(VENDOR)) for path in (VENDOR / "msgpack").rglob("*") if path.is_file()}
+    assert set(told) == there
+    for name, digest in told.items():
+        assert hashlib.sha256((VENDOR / name).read_bytes()).hexdigest() == digest
+    assert "msgpack/LICENSE" in told
+
+
+def test_no_module_is_long_or_reaches_outside() -> None:
+    """Imports stay in the folder, so that it can be served from anywhere under `script-src 'self'`."""
+    for path in [PACKAGE / "mfcmt.js", *(PACKAGE / "lib").glob("*.js")]:
+        text = path.read_text()
+        for wanted in re.findall(r'(?:from|import\(|new URL\()\s*"([^"]+)"', text):
+            assert (path.parent / wanted).resolve().is_relative_to(PACKAGE)
+        assert not re.search(r"\beval\(|new Function|https?://(?!127\.0\.0\.1)", text)
+
+
+def test_messages_name_the_fields_of_the_schema() -> None:
+    """The README's tables and the types follow the wire: every field of a Target and a Result is declared."""
+    from service.schemas.session import PastResult, Problem, Result, Session, Target, Timing
+
+    text = (PACKAGE / "mfcmt.d.ts").read_text()
+    for name, model in {
+        "Target": Target,
+        "Result": Result,
+        "SessionInfo": Session,
+        "PastResult": PastResult,
+        "ProblemDocument": Problem,
+    }.items():
+        body = re.search(rf"export interface {name} {{(.*?)\n}}", text, re.S)
+        assert body is not None
+        declared = set(re.findall(r"^  (\w+)\??:", body[1], re.M))
+        assert set(model.model_fields) <= declared, name
+    for field in Timing.model_fields:
+        assert field in text
+    catalogue = (ROOT / "service" / "problems.py").read_text()
+    codes = re.search(r"type ProblemCode =(.*?);", text, re.S)
+    assert codes is not None
+    assert set(re.findall(r'"([a-z-]+)"', codes[1])) == set(re.findall(r'^    "([a-z-]+)": Kind', catalogue, re.M))
