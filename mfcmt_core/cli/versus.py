@@ -109,13 +109,14 @@ def _row(name: str, evaluation: Evaluation, medians: dict[str, dict[str, float]]
 
 
 def _behind(medians: dict[str, dict[str, float | None]]) -> list[str]:
-    """Where a peer that counts was faster than ours."""
-    return [
-        f"{sequence}: {name} in {ms / row[OURS]:.2f} of the time"  # type: ignore[operator]
-        for sequence, row in medians.items()
-        for name, ms in row.items()
-        if ms is not None and ms < row[OURS]  # type: ignore[operator]
-    ]
+    """The sequences on which a peer that counts was faster than ours, a line a peer."""
+    faster: dict[str, list[str]] = {}
+    for sequence, row in medians.items():
+        ours = row[OURS]
+        for name, ms in row.items():
+            if ms is not None and ours is not None and ms < ours:
+                faster.setdefault(name, []).append(sequence)
+    return [f"{name}: {', '.join(sequences)}" for name, sequences in faster.items()]
 
 
 def _geometric_mean(values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
