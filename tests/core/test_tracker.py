@@ -394,7 +394,9 @@ def test_maps_are_probability_maps(config, frames, clip):
         assert dataclasses.replace(result, maps=None) == plain
         names = ["template"] if config.joint_filter else list(config.features)
         names += ["background"] if config.background_interval else []
-        assert list(result.maps) == ["fused", *names, *(["statistical"] if config.color_histogram else [])]
+        names += ["statistical"] if config.color_histogram else []
+        parts = config.features if config.joint_filter else []
+        assert list(result.maps) == ["fused", *names, *parts]
         assert len({m.shape for m in result.maps.values()}) == 1
         for values in result.maps.values():
             assert values.dtype == np.float32

@@ -2,12 +2,13 @@
 
 import { byId, el } from "./dom.js";
 
-const NAMES = { fused: "Fused", gray: "Grey", fhog: "HOG", color_names: "Colours", statistical: "Histogram" };
+const NAMES = { fused: "Fused", gray: "Grey", fhog: "HOG", color_names: "Colours", background: "Background", statistical: "Histogram" };
 const HELP = {
   fused: "the mean of all maps: its peak is where the target is taken to be",
   gray: "correlation filter on grey values",
   fhog: "correlation filter on histograms of oriented gradients",
   color_names: "correlation filter on the names of colours",
+  background: "correlation filter that has learned the surroundings as what it is not",
   statistical: "colour histogram of target against surroundings",
 };
 const EVERY_MS = 90; // the eye needs no more
