@@ -111,7 +111,7 @@ async def test_sample_clip_with_several_targets(open_page: Open, artefacts: Path
         await user.frames(60)
         assert await user.status(1) == "tracking"
         assert "Target 2 started" in await user.log()
-        assert await user.page.locator("#maps figure").count() == 5
+        assert await user.page.locator("#maps figure").count() == 6
         await user.page.screenshot(path=artefacts / "two-targets.png")
 
         await user.page.keyboard.press("Space")
@@ -219,12 +219,13 @@ async def test_response_maps_only_where_wanted(open_page: Open, server: OwnServe
         await user.choose("sample")
         await user.page.click("#follow-suggestion")
         await user.frames(5)
-        assert await user.page.locator("#maps figure").count() == 5
+        assert await user.page.locator("#maps figure").count() == 6
         await user.set("maps", False)  # a new session, from where the target is
         await user.frames(10)
         assert not await user.page.is_visible("#maps-card")
         assert await user.status(1) in ("tracking", "uncertain")
     (_, with_maps), (_, without) = tap.streams()[-2:]
     results = [[m for m in heard if m["type"] == "result"] for heard in (with_maps, without)]
-    assert {"fused", "gray", "fhog", "color_names", "statistical"} <= set(results[0][0]["targets"][0]["maps"])
+    names = {"fused", "gray", "fhog", "color_names", "background", "statistical"}
+    assert names <= set(results[0][0]["targets"][0]["maps"])
     assert all("maps" not in result["targets"][0] for result in results[1])
