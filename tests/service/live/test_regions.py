@@ -165,8 +165,8 @@ async def test_through_lost_and_back(server: OwnServer, client: AsyncClient) -> 
     sequence = synthetic.clip("motion", length=60)
     box: Any = tuple(map(float, sequence.boxes[0]))
     seen = list(sequence.frames[:20])
-    noise = np.random.default_rng(0).integers(0, 255, (40, *seen[0].shape)).astype(np.float32)
-    share = np.clip(1 - np.arange(40) / 25, 0, 1)
+    noise = np.random.default_rng(0).integers(0, 255, (60, *seen[0].shape)).astype(np.float32)
+    share = np.clip(1 - np.arange(60) / 25, 0, 1)
     fading = [(a * seen[-1] + (1 - a) * one).astype(np.uint8) for a, one in zip(share, noise, strict=True)]
     with watch(server):
         sessions = await pair(client, seen[0], [box])
