@@ -181,12 +181,12 @@ class SearchWindow:
         return Patch(pixels, (x + w / 2, y + h / 2), (w / size, h / size))
 
     def neighbours(
-        self, center: tuple[float, float], scale: float, frame_size: tuple[int, int]
+        self, center: tuple[float, float], scale: float, frame_size: tuple[int, int], axis: int
     ) -> list[tuple[float, float]]:
-        """Centres of the windows that lie half a window to each side, as far as they are in the frame."""
+        """Centres of the windows half a window to each side along ``axis`` (0: x, 1: y), if they are in the frame."""
         x, y = center
         dx, dy = self.extent[0] * scale / 2, self.extent[1] * scale / 2
-        places = [(x - dx, y), (x + dx, y), (x, y - dy), (x, y + dy)]
+        places = [(x, y - dy), (x, y + dy)] if axis else [(x - dx, y), (x + dx, y)]
         return [(x, y) for x, y in places if 0 <= x <= frame_size[0] and 0 <= y <= frame_size[1]]
 
     def displaced(self, patch: Patch, displacement: tuple[float, float]) -> tuple[float, float]:

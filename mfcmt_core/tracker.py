@@ -263,10 +263,13 @@ class MFCMT:
         if not target.reliability.doubts(centred[1].peaks):
             return first
         target.reliability.doubtful = True
-        looks = [look(target.window.displaced(first[0].patch, displacement)) for displacement in others]
-        if was_doubtful:
-            around = [look(place) for place in target.window.neighbours(target.center, target.scale, frame.size)]
-            looks += [look(max(around, key=_strength)[1].center)] if around else []
+        if was_doubtful:  # on two sides, in turn: no frame should cost more than two others
+            axis = target.reliability.unreliable_run % 2
+            places = target.window.neighbours(target.center, target.scale, frame.size, axis)
+            around = [look(place) for place in places]
+            looks = [look(max(around, key=_strength)[1].center)] if around else []
+        else:
+            looks = [look(target.window.displaced(first[0].patch, displacement)) for displacement in others]
         best = max(looks, key=_strength, default=centred)
         decisive = best[1].peaks.template > self.config.doubt_margin * centred[1].peaks.template
         return best if decisive else first

@@ -36,7 +36,7 @@ def test_the_papers_rivals_learn_every_frame(name: str) -> None:
     assert (config.num_scales == 33) == (name in ("staple", "samf", "dsst"))
 
 
-@pytest.mark.parametrize(("name", "maps"), [("default-fixed-merge", 1), ("paper-fixed-merge", 3)])
+@pytest.mark.parametrize(("name", "maps"), [("default-fixed-merge", 2), ("paper-fixed-merge", 3)])
 def test_the_fixed_merge_gives_the_histogram_three_parts_in_ten(name: str, maps: int) -> None:
     weight = engine(name).config.statistical_weight
     assert weight / (maps + weight) == pytest.approx(0.3)
