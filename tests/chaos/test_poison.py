@@ -112,11 +112,13 @@ async def test_lanes_that_keep_dying_turn_readiness_off(own_server: Serve, clip:
             assert 'mfcmt_lane_failing{lane="0"} 1.0' in (await wire.http.get("/metrics")).text
             with pytest.raises(Problem) as refused:
                 await _track_until_refused(session, clip.frames[0])
-            assert refused.value.code == "at-capacity"
-            assert refused.value.retry_after_s
         finally:
             killing.cancel()
         await _until(wire, 200)
+        if refused.value.code == "session-gone":  # a frame of it was at work in two lanes that were killed
+            return
+        assert refused.value.code == "at-capacity"
+        assert refused.value.retry_after_s
         known = (await session.refresh()).seq
         said = (await session.track(clip.frames[1])).target
         if known == 0:
