@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from importlib.util import find_spec
@@ -13,6 +12,7 @@ import pytest
 import pytest_asyncio
 
 from service.load.own import OwnServer
+from tests.chromium import FLAGS, chromium
 from tests.conftest import OTB_ROOT, ROOT, require
 from tests.service.conftest import clip, own_server, server
 
@@ -21,28 +21,9 @@ from .driver import Tracker
 ARTEFACTS = ROOT / "results" / "browser"
 CAMERA = "David"
 CAMERA_FRAMES = 460
-FLAGS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--hide-scrollbars",
-]
 __all__ = ["clip", "own_server", "server"]  # fixtures
 Open = Callable[..., AbstractAsyncContextManager[Tracker]]
 loop = pytest.mark.asyncio(loop_scope="package")
-
-
-def chromium() -> str:
-    """The system's browser."""
-    names = ("chromium", "chromium-browser", "google-chrome")
-    found = next((path for name in names if (path := shutil.which(name))), None)
-    require(found, "no Chromium is installed")
-    assert found
-    return found
 
 
 @pytest.fixture(scope="package")
@@ -70,7 +51,7 @@ async def launched(flags: list[str]) -> AsyncIterator[Any]:
     from playwright.async_api import async_playwright
 
     async with async_playwright() as driver:
-        browser = await driver.chromium.launch(executable_path=chromium(), args=[*FLAGS, *flags])
+        browser = await driver.chromium.launch(executable_path=chromium(), args=[*FLAGS, "--hide-scrollbars", *flags])
         yield browser
         await browser.close()
 

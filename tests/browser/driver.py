@@ -46,6 +46,12 @@ class Tracker:
         await self.page.click(f"#choose-{source}")
         await self.until("document.documentElement.dataset.state === 'open'")
 
+    async def follow_sample(self, frames: int) -> None:
+        """Follow what is suggested in the sample video, for that many frames."""
+        await self.choose("sample")
+        await self.page.click("#follow-suggestion")
+        await self.frames(frames)
+
     async def until(self, condition: str) -> None:
         """Wait until a JavaScript expression is true."""
         give_up = time.monotonic() + PATIENCE_MS / 1e3

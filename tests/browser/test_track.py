@@ -136,9 +136,7 @@ async def test_sample_clip_with_several_targets(open_page: Open, artefacts: Path
 async def test_lossless_goes_through_every_frame(open_page: Open) -> None:
     async with open_page() as user:
         await user.set("mode", "lossless")
-        await user.choose("sample")
-        await user.page.click("#follow-suggestion")
-        await user.frames(45)
+        await user.follow_sample(45)
         await user.page.keyboard.press("Space")
         await user.page.keyboard.press(".")
         told = await user.boxes()
@@ -149,9 +147,7 @@ async def test_lossless_goes_through_every_frame(open_page: Open) -> None:
 
 async def test_step_moves_by_one_frame(open_page: Open) -> None:
     async with open_page() as user:
-        await user.choose("sample")
-        await user.page.click("#follow-suggestion")
-        await user.frames(5)
+        await user.follow_sample(5)
         await user.page.click("#play")
         before = (await user.boxes())["frames"]
         for count in (1, 2, 3):
@@ -195,9 +191,7 @@ async def test_a_file_that_is_no_video(open_page: Open, tmp_path: Path) -> None:
 
 async def test_an_annotated_recording(open_page: Open) -> None:
     async with open_page() as user:
-        await user.choose("sample")
-        await user.page.click("#follow-suggestion")
-        await user.frames(3)
+        await user.follow_sample(3)
         await user.page.click("#record")
         assert await user.page.is_visible("#recording")
         await user.frames(30)
@@ -217,9 +211,7 @@ async def test_an_annotated_recording(open_page: Open) -> None:
 
 async def test_response_maps_only_where_wanted(open_page: Open, server: OwnServer) -> None:
     async with Tap(server.port) as tap, open_page(tap.url) as user:
-        await user.choose("sample")
-        await user.page.click("#follow-suggestion")
-        await user.frames(5)
+        await user.follow_sample(5)
         assert await user.page.locator("#maps figure").count() == len(MAPS)
         await user.set("maps", False)  # a new session, from where the target is
         await user.frames(10)

@@ -22,9 +22,7 @@ STARTED = "document.documentElement.dataset.state === 'tracking'"
 async def test_a_lost_connection_is_taken_up_again(open_page: Open, server: OwnServer) -> None:
     async with Tap(server.port) as tap, open_page(tap.url) as user:
         user.expected.append("WebSocket connection")
-        await user.choose("sample")
-        await user.page.click("#follow-suggestion")
-        await user.frames(10)
+        await user.follow_sample(10)
         tap.cut()
         await user.until("document.getElementById('log').innerText.includes('tracking goes on')")
         assert "lost; trying again" in await user.log()
@@ -44,9 +42,7 @@ async def test_says_so_while_the_server_is_away(open_page: Open, own_server: Cal
     server = own_server(drain_grace_s=0)
     async with open_page(server.url) as user:
         user.expected += ["WebSocket connection", "ERR_CONNECTION_REFUSED", "Failed to load resource"]
-        await user.choose("sample")
-        await user.page.click("#follow-suggestion")
-        await user.frames(5)
+        await user.follow_sample(5)
         server.stop()
         await user.until("document.getElementById('notice').innerText.includes('Reconnecting')")
         assert await user.page.get_attribute("#connection", "data-tone") == "busy"
@@ -109,9 +105,7 @@ async def test_a_key_is_asked_for(open_page: Open, own_server: Callable[..., Own
 async def test_an_expired_session(open_page: Open, own_server: Callable[..., OwnServer]) -> None:
     server = own_server(attached_idle_timeout_s=1)
     async with open_page(server.url) as user:
-        await user.choose("sample")
-        await user.page.click("#follow-suggestion")
-        await user.frames(5)
+        await user.follow_sample(5)
         await user.page.keyboard.press("Space")
         await user.until("document.documentElement.dataset.state === 'ended'")
         assert "The session expired No frame came for too long" in await user.notice()
@@ -125,9 +119,7 @@ async def test_an_expired_session(open_page: Open, own_server: Callable[..., Own
 async def test_no_room_for_another_target(open_page: Open, own_server: Callable[..., OwnServer]) -> None:
     server = own_server(max_targets_per_session=1)
     async with open_page(server.url) as user:
-        await user.choose("sample")
-        await user.page.click("#follow-suggestion")
-        await user.frames(5)
+        await user.follow_sample(5)
         await user.page.keyboard.press("a")
         await user.draw((500, 100, 60, 60))
         await user.until("!document.getElementById('notice').hidden")
@@ -139,9 +131,7 @@ async def test_no_room_for_another_target(open_page: Open, own_server: Callable[
 async def test_leaving_gives_the_place_back(open_page: Open, own_server: Callable[..., OwnServer]) -> None:
     server = own_server()
     async with open_page(server.url) as user:
-        await user.choose("sample")
-        await user.page.click("#follow-suggestion")
-        await user.frames(3)
+        await user.follow_sample(3)
         async with httpx2.AsyncClient(base_url=server.url) as http:
             assert len((await http.get("/v1/sessions")).json()["sessions"]) == 1
             await user.leave()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import http.client
 import json
 import re
-import shutil
 import socket
 import subprocess
 import sys
@@ -18,7 +17,7 @@ import pytest
 
 from mfcmt_core import synthetic
 from mfcmt_core.cli.pick import PickServer
-from tests.conftest import require
+from tests.chromium import FLAGS, chromium
 
 SCRIPT = Path(sys.executable).with_name("mfcmt")
 
@@ -128,11 +127,9 @@ def test_a_bad_box_is_refused_and_a_good_one_ends_it(server):
 
 @pytest.fixture(scope="module")
 def browser():
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    require(chromium, "no Chromium on this machine")
     api = pytest.importorskip("playwright.sync_api")
     with api.sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-dev-shm-usage"])
+        running = playwright.chromium.launch(executable_path=chromium(), args=[*FLAGS, "--disable-dev-shm-usage"])
         yield running
         running.close()
 

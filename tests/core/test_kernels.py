@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import FunctionType
 
 import cv2
-import numba
 import numpy as np
 import pytest
 
@@ -14,33 +12,9 @@ from mfcmt_core.features import color_names, hann_window
 from mfcmt_core.kernels import background, cells, color, fourier, fusion, hog, scale, template
 
 from . import reference
-
-
-def alone(part):
-    """A compiled copy by another name, for a part of another kernel.
-
-    The process would link the part itself, once it is loaded, into that kernel too, in place of the copy that was
-    optimised there, and every later result would be rounded otherwise.
-    """
-    function = FunctionType(part.py_func.__code__, part.py_func.__globals__, f"{part.__name__}_alone")
-    return numba.njit(fastmath=True, error_model="numpy")(function)
-
+from .twins import alone, close, patch_of
 
 normalize_cells = alone(hog.normalize_cells)
-
-
-def close(actual, expected, tolerance=2e-5):
-    """Equal up to float32: relative to the largest value."""
-    assert actual.shape == expected.shape
-    np.testing.assert_allclose(actual, expected, rtol=1e-4, atol=tolerance * max(1e-6, np.abs(expected).max()))
-
-
-def complex_noise(rng, *shape):
-    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)).astype(np.complex64)
-
-
-def patch_of(image, height, width):
-    return np.ascontiguousarray(image[20 : 20 + height, 30 : 30 + width])
 
 
 # --- cells and fHOG ---
@@ -198,107 +172,6 @@ def test_look_up_and_box_means(picture):
     np.testing.assert_allclose(out, reference.box_means(lookup[bins], rows, columns, 31, 20), atol=1e-4)
 
 
-# --- correlation filters ---
-
-N = 9
-BLOCKS = np.array([(0, 1), (1, 4), (4, 7)], np.int64)
-
-
-@pytest.fixture
-def spectra():
-    return complex_noise(np.random.default_rng(3), 7, N, N // 2 + 1)
-
-
-@pytest.fixture
-def label_f():
-    return complex_noise(np.random.default_rng(4), N, N // 2 + 1)
-
-
-def energies_of(spectra):
-    out = np.empty((len(BLOCKS), *spectra.shape[1:]), np.float32)
-    for block, energy in zip(BLOCKS, out, strict=True):
-        template.energy(spectra, block, energy)
-    return out
-
-
-def test_energy(spectra):
-    close(energies_of(spectra), np.stack([reference.energy(spectra, block) for block in BLOCKS]))
-
-
-def test_respond_filters(spectra):
-    filters = complex_noise(np.random.default_rng(5), *spectra.shape)
-    out = np.empty((len(BLOCKS), *spectra.shape[1:]), np.complex64)
-    template.respond_filters(filters, spectra, BLOCKS, out)
-    close(out, reference.respond_filters(filters, spectra, BLOCKS))
-
-
-@pytest.mark.parametrize("rate", [0.02, 1.0])
-def test_learn_filters(spectra, label_f, rate):
-    filters = complex_noise(np.random.default_rng(6), *spectra.shape)
-    expected = reference.learn_filters(spectra, label_f, BLOCKS, 0.3, rate, filters)
-    template.learn_filters(spectra, label_f, BLOCKS, np.float32(0.3), np.float32(rate), energies_of(spectra), filters)
-    close(filters, expected)
-
-
-@pytest.mark.parametrize("rate", [0.02, 1.0])
-def test_learn_spectra(spectra, label_f, rate):
-    rng = np.random.default_rng(7)
-    mean = complex_noise(rng, *spectra.shape)
-    denominator = rng.random((len(BLOCKS), *spectra.shape[1:])).astype(np.float32)
-    filters = np.zeros_like(mean)
-    expected = reference.learn_spectra(spectra, label_f, BLOCKS, 0.3, rate, mean, denominator)
-    template.learn_spectra(
-        spectra,
-        label_f,
-        BLOCKS,
-        np.float32(0.3),
-        np.float32(rate),
-        energies_of(spectra),
-        mean,
-        denominator,
-        filters,
-    )
-    for actual, wanted in zip((mean, denominator, filters), expected, strict=True):
-        close(actual, wanted)
-
-
-@pytest.mark.parametrize(("before", "penalty"), [(0.0, 1.0), (1.0, 10.0)])
-def test_solve_background(spectra, label_f, before, penalty):
-    rng = np.random.default_rng(8)
-    filters, unmasked = complex_noise(rng, *spectra.shape), complex_noise(rng, *spectra.shape)
-    power = reference.energy(spectra, (0, len(spectra))) / spectra.shape[1] ** 2
-    arguments = (spectra, label_f, power.astype(np.float32), np.float32(before), np.float32(penalty), filters)
-    expected = reference.solve_background(*arguments, unmasked)
-    background.solve_background(*arguments, unmasked)
-    close(unmasked, expected)
-
-
-# --- Fourier ---
-
-
-@pytest.mark.parametrize("n", [3, 7, 8, 25])
-def test_fold_rows(n):
-    grids = np.random.default_rng(8).standard_normal((n, 30)).astype(np.float32)
-    even, odd = np.full((n // 2 + 1, 30), np.nan, np.float32), np.full(((n - 1) // 2, 30), np.nan, np.float32)
-    fourier.fold_rows(grids, even, odd)
-    for actual, expected in zip((even, odd), reference.fold_rows(grids), strict=True):
-        close(actual, expected)
-
-
-@pytest.mark.parametrize("n", [7, 8])
-def test_assemble(n):
-    """From the products of cosines and sines to the half spectra."""
-    grids = np.random.default_rng(12).standard_normal((3, n, n))
-    angles = 2 * np.pi / n * np.outer(np.arange(n), np.arange(n))
-    half = n // 2 + 1
-    rows = np.concatenate([np.cos(angles)[:half], np.sin(angles)[1 : (n + 1) // 2]])
-    columns = np.concatenate([np.cos(angles)[:half], np.sin(angles)[:half], np.ones((1, n))])
-    products = np.einsum("ry,cyx,kx->rck", rows, grids, columns).astype(np.float32)
-    out = np.empty((3, n, half), np.complex64)
-    fourier.assemble(products, out)
-    close(out, np.fft.rfft2(grids))
-
-
 # --- fusion ---
 
 
@@ -325,114 +198,9 @@ def test_find_peak(seed):
     np.testing.assert_allclose(fusion.find_peak(fused, 5), reference.find_peak(fused, 5), rtol=1e-4, atol=1e-4)
 
 
-# --- scale ---
-
-
-LANES = 24
-"""Eight smaller scales, eight larger ones, the present one, padding."""
-
-
-def quads_of(gray):
-    quads = np.empty(gray.shape, np.uint32)
-    scale.pack_quads(gray, quads)
-    return quads
-
-
-def test_pack_quads(gray):
-    cut = patch_of(gray, 60, 81)
-    assert np.array_equal(quads_of(cut).view(np.uint8).reshape(60, 81, 4), reference.pack_quads(cut))
-
-
-def test_sample_scales(gray):
-    cut = patch_of(gray, 60, 80)
-    step_x, step_y = np.linspace(0.8, 3.2, 8, dtype=np.float32), np.linspace(0.5, 2.1, 8, dtype=np.float32)
-    out = np.empty((24, 32, 8), np.float32)
-    scale.sample_scales(quads_of(cut), np.float32(39.3), np.float32(31.7), step_x, step_y, out)
-    np.testing.assert_allclose(out, reference.sample_scales(cut, 39.3, 31.7, step_x, step_y, (24, 32)), atol=0.02)
-
-
-@pytest.fixture
-def samples(gray):
-    """(24, 16, LANES)"""
-    steps = np.linspace(0.7, 1.4, LANES, dtype=np.float32)
-    made = reference.sample_scales(gray, 90.2, 80.6, steps, steps, (24, 16)).astype(np.float32)
-    return made + np.random.default_rng(0).random(made.shape).astype(np.float32)  # no ties between directions
-
-
-def histogram_of(samples, count):
-    histogram = np.full((6 * 4 + 1, 18, LANES), np.nan, np.float32)
-    scale.scale_histogram(samples, count, histogram)
-    return histogram
-
-
-def test_scale_histogram(samples):
-    histogram = histogram_of(samples, 17)
-    cells_ = np.moveaxis(histogram[:-1].reshape(6, 4, 18, LANES), 1, 2)
-    np.testing.assert_allclose(cells_[..., :17], reference.scale_histogram(samples[..., :17]), rtol=1e-4, atol=2e-2)
-    assert not cells_[..., 17:].any()
-
-
-@pytest.mark.parametrize("epsilon", [1e-2, 10.0])
-def test_scale_features(samples, epsilon):
-    histogram = histogram_of(samples, 17)
-    window = np.zeros(LANES, np.float32)
-    window[:8] = window[8:16] = np.linspace(1, 0.1, 8)
-    window[16] = 1
-    norms = np.full((7, 5, LANES), np.nan, np.float32)
-    even, odd = np.full((6 * 4 * 31, 9), np.nan, np.float32), np.full((6 * 4 * 31, 8), np.nan, np.float32)
-    scale.scale_norms(histogram, np.float32(epsilon), norms)
-    scale.scale_features(histogram, norms, window, even, odd)
-    cells_ = np.moveaxis(histogram[:-1].reshape(6, 4, 18, LANES), 1, 2)
-    expected = reference.fold(reference.scale_features(cells_, epsilon, window), 8)
-    np.testing.assert_allclose(even, expected[0], atol=1e-3)
-    np.testing.assert_allclose(odd, expected[1], atol=1e-3)
-
-
-def test_scale_hog(gray):
-    """The parts in one call."""
-    cut = patch_of(gray, 60, 80)
-    step = np.linspace(0.8, 3.2, LANES, dtype=np.float32)
-    window, epsilon, center = np.ones(LANES, np.float32), np.float32(10), (np.float32(39.3), np.float32(31.7))
-    samples, histogram = np.empty((24, 16, LANES), np.float32), np.empty((25, 18, LANES), np.float32)
-    quads, norms = np.empty((60, 80), np.uint32), np.empty((7, 5, LANES), np.float32)
-    even, odd = np.empty((24 * 31, 9), np.float32), np.empty((24 * 31, 8), np.float32)
-    scale.scale_hog(cut, *center, step, step, 17, epsilon, window, quads, samples, histogram, norms, even, odd)
-    assert np.array_equal(quads, quads_of(cut))
-    np.testing.assert_allclose(samples, reference.sample_scales(cut, 39.3, 31.7, step, step, (24, 16)), atol=0.02)
-    assert np.array_equal(histogram, histogram_of(samples, 17))
-    expected_even, expected_odd = np.empty_like(even), np.empty_like(odd)
-    scale.scale_features(histogram, norms, window, expected_even, expected_odd)
-    np.testing.assert_allclose(even, expected_even, atol=1e-5)
-    np.testing.assert_allclose(odd, expected_odd, atol=1e-5)
-
-
-def test_fold():
-    values = np.random.default_rng(11).random(LANES).astype(np.float32)
-    even, odd = np.empty(9, np.float32), np.empty(8, np.float32)
-    scale.fold(values, even, odd)
-    for actual, expected in zip((even, odd), reference.fold(values, 8), strict=True):
-        close(actual, expected)
-
-
-def test_scale_filter():
-    rng = np.random.default_rng(10)
-    waves, mean = rng.standard_normal((2, 50, 16)).astype(np.float32)
-    sums, mean_sums = rng.standard_normal((2, 50)).astype(np.float32)
-    gain, energy = rng.random((2, 9)).astype(np.float32)
-    complex_, complex_mean = reference.complex_scales(waves, sums), reference.complex_scales(mean, mean_sums)
-    response_f = np.empty(17, np.float32)
-    scale.respond_scales(waves, sums, mean, mean_sums, gain, response_f)
-    expected = reference.respond_scales(complex_, complex_mean) * np.roll(gain, 1)
-    close(reference.complex_scales(response_f[None, :16], response_f[16:])[0], expected, 1e-4)
-    expected_mean, expected_energy = reference.learn_scales(complex_, 0.025, complex_mean, np.roll(energy, 1))
-    scale.learn_scales(waves, sums, np.float32(0.025), mean, mean_sums, energy)
-    close(reference.complex_scales(mean, mean_sums), expected_mean)
-    close(np.roll(energy, 1), expected_energy)
-
-
 def test_every_kernel_has_a_test():
-    """A new kernel needs a twin: its name must appear here."""
-    source = Path(__file__).read_text()
+    """A new kernel needs a twin: its name must appear here or beside."""
+    source = "".join(file.read_text() for file in Path(__file__).parent.glob("test_kernels*.py"))
     for module in (background, cells, color, fourier, fusion, hog, scale, template):
         for name, value in vars(module).items():
             if hasattr(value, "py_func") and value.py_func.__module__ == module.__name__:

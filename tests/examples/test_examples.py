@@ -18,8 +18,9 @@ import pytest
 from service.frames.decode import decode
 from service.load.clips import LIMITS, Clip
 from service.load.own import OwnServer
+from tests.chromium import chromium
 from tests.conftest import ROOT, require
-from tests.service.jsclient.browser import FLAGS, PACKAGE, Pages, browser_path, write_y4m
+from tests.service.jsclient.browser import CAMERA_FLAGS, PACKAGE, Pages, write_y4m
 from tests.service.jsclient.conftest import HERE as JSCLIENT
 from tests.service.jsclient.test_browser import overlap
 from tests.service.live.conftest import Serve
@@ -130,15 +131,13 @@ def test_node(own_server: Serve, node: str, clip: Clip, files: list[str], tmp_pa
 async def test_page(clip: Clip, tmp_path: Path) -> None:
     """A box drawn by mouse over a camera, then put right by drawing again."""
     playwright: Any = pytest.importorskip("playwright.async_api")
-    path = browser_path()
-    require(path is not None, "no chromium")
     film = tmp_path / "camera.y4m"
     write_y4m(film, [decode(clip.frame(index), LIMITS)[0] for index in range(2 * len(clip.frames) - 2)])
     camera = f"--use-file-for-fake-video-capture={film}"
     policy = "default-src 'self'; script-src 'self' 'unsafe-inline'; style-src 'self' 'unsafe-inline'; connect-src *"
     with Pages(clip.frames, policy, root=EXAMPLES) as pages, OwnServer(lanes=1, allowed_origins=pages.origin) as server:
         async with playwright.async_playwright() as driver:
-            browser = await driver.chromium.launch(executable_path=path, args=[*FLAGS, camera])
+            browser = await driver.chromium.launch(executable_path=chromium(), args=[*CAMERA_FLAGS, camera])
             try:
                 page = await (await browser.new_context(permissions=["camera"])).new_page()
                 errors: list[str] = []

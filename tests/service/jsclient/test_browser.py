@@ -14,11 +14,11 @@ import pytest
 from service.frames.decode import decode
 from service.load.clips import LIMITS, Clip
 from service.load.own import OwnServer
-from tests.conftest import require
+from tests.chromium import chromium
 from tests.service.live.cable import Cable
 from tests.service.live.test_main_job import in_process
 
-from .browser import FLAGS, Pages, browser_path, write_y4m
+from .browser import CAMERA_FLAGS, Pages, write_y4m
 
 Run = Callable[..., Awaitable[Any]]
 STRICT = "default-src 'none'; script-src 'self'; worker-src 'self'; img-src data:; connect-src 'self' http: ws:"
@@ -42,10 +42,8 @@ def service(pages: Pages) -> Iterator[OwnServer]:
 async def opened(pages: Pages, url: str, *flags: str, **context: Any) -> AsyncIterator[tuple[Run, Any]]:
     """The harness in a browser of its own. What the console says of errors fails the test."""
     playwright = pytest.importorskip("playwright.async_api")
-    path = browser_path()
-    require(path is not None, "no chromium")
     async with playwright.async_playwright() as driver:
-        browser = await driver.chromium.launch(executable_path=path, args=[*FLAGS, *flags])
+        browser = await driver.chromium.launch(executable_path=chromium(), args=[*CAMERA_FLAGS, *flags])
         try:
             page = await (await browser.new_context(**context)).new_page()
             page.set_default_timeout(120_000)

@@ -6,7 +6,7 @@ import asyncio
 import json
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import Any, Self
 
 import httpx2
 import msgpack
@@ -67,6 +67,12 @@ class Wire:
         self.headers = headers or {}
         self.http = httpx2.AsyncClient(base_url=server.url, headers=self.headers, timeout=30)
 
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.http.aclose()
+
     async def create(self, frame: bytes, *boxes: Any, **options: Any) -> Answer:
         response = await self.post(frame, *boxes, **options)
         assert response.status_code == 201, response.text
@@ -99,9 +105,8 @@ class Wire:
 
 @pytest.fixture
 async def wire(server: OwnServer) -> AsyncIterator[Wire]:
-    wire = Wire(server)
-    yield wire
-    await wire.http.aclose()
+    async with Wire(server) as wire:
+        yield wire
 
 
 @pytest.fixture

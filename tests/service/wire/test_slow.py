@@ -37,9 +37,8 @@ def short_times() -> Iterator[OwnServer]:
 
 @pytest.fixture
 async def wire(short_times: OwnServer) -> AsyncIterator[Wire]:
-    opened = Wire(short_times)
-    yield opened
-    await opened.http.aclose()
+    async with Wire(short_times) as opened:
+        yield opened
     assert "Traceback" not in short_times.log
 
 

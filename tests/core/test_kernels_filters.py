@@ -1,0 +1,109 @@
+"""The kernels of the template filters and their transforms, each with its numpy twin."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mfcmt_core.kernels import background, fourier, template
+
+from . import reference
+from .twins import close, complex_noise
+
+N = 9
+BLOCKS = np.array([(0, 1), (1, 4), (4, 7)], np.int64)
+
+
+@pytest.fixture
+def spectra():
+    return complex_noise(np.random.default_rng(3), 7, N, N // 2 + 1)
+
+
+@pytest.fixture
+def label_f():
+    return complex_noise(np.random.default_rng(4), N, N // 2 + 1)
+
+
+def energies_of(spectra):
+    out = np.empty((len(BLOCKS), *spectra.shape[1:]), np.float32)
+    for block, energy in zip(BLOCKS, out, strict=True):
+        template.energy(spectra, block, energy)
+    return out
+
+
+def test_energy(spectra):
+    close(energies_of(spectra), np.stack([reference.energy(spectra, block) for block in BLOCKS]))
+
+
+def test_respond_filters(spectra):
+    filters = complex_noise(np.random.default_rng(5), *spectra.shape)
+    out = np.empty((len(BLOCKS), *spectra.shape[1:]), np.complex64)
+    template.respond_filters(filters, spectra, BLOCKS, out)
+    close(out, reference.respond_filters(filters, spectra, BLOCKS))
+
+
+@pytest.mark.parametrize("rate", [0.02, 1.0])
+def test_learn_filters(spectra, label_f, rate):
+    filters = complex_noise(np.random.default_rng(6), *spectra.shape)
+    expected = reference.learn_filters(spectra, label_f, BLOCKS, 0.3, rate, filters)
+    template.learn_filters(spectra, label_f, BLOCKS, np.float32(0.3), np.float32(rate), energies_of(spectra), filters)
+    close(filters, expected)
+
+
+@pytest.mark.parametrize("rate", [0.02, 1.0])
+def test_learn_spectra(spectra, label_f, rate):
+    rng = np.random.default_rng(7)
+    mean = complex_noise(rng, *spectra.shape)
+    denominator = rng.random((len(BLOCKS), *spectra.shape[1:])).astype(np.float32)
+    filters = np.zeros_like(mean)
+    expected = reference.learn_spectra(spectra, label_f, BLOCKS, 0.3, rate, mean, denominator)
+    template.learn_spectra(
+        spectra,
+        label_f,
+        BLOCKS,
+        np.float32(0.3),
+        np.float32(rate),
+        energies_of(spectra),
+        mean,
+        denominator,
+        filters,
+    )
+    for actual, wanted in zip((mean, denominator, filters), expected, strict=True):
+        close(actual, wanted)
+
+
+@pytest.mark.parametrize(("before", "penalty"), [(0.0, 1.0), (1.0, 10.0)])
+def test_solve_background(spectra, label_f, before, penalty):
+    rng = np.random.default_rng(8)
+    filters, unmasked = complex_noise(rng, *spectra.shape), complex_noise(rng, *spectra.shape)
+    power = reference.energy(spectra, (0, len(spectra))) / spectra.shape[1] ** 2
+    arguments = (spectra, label_f, power.astype(np.float32), np.float32(before), np.float32(penalty), filters)
+    expected = reference.solve_background(*arguments, unmasked)
+    background.solve_background(*arguments, unmasked)
+    close(unmasked, expected)
+
+
+# --- Fourier ---
+
+
+@pytest.mark.parametrize("n", [3, 7, 8, 25])
+def test_fold_rows(n):
+    grids = np.random.default_rng(8).standard_normal((n, 30)).astype(np.float32)
+    even, odd = np.full((n // 2 + 1, 30), np.nan, np.float32), np.full(((n - 1) // 2, 30), np.nan, np.float32)
+    fourier.fold_rows(grids, even, odd)
+    for actual, expected in zip((even, odd), reference.fold_rows(grids), strict=True):
+        close(actual, expected)
+
+
+@pytest.mark.parametrize("n", [7, 8])
+def test_assemble(n):
+    """From the products of cosines and sines to the half spectra."""
+    grids = np.random.default_rng(12).standard_normal((3, n, n))
+    angles = 2 * np.pi / n * np.outer(np.arange(n), np.arange(n))
+    half = n // 2 + 1
+    rows = np.concatenate([np.cos(angles)[:half], np.sin(angles)[1 : (n + 1) // 2]])
+    columns = np.concatenate([np.cos(angles)[:half], np.sin(angles)[:half], np.ones((1, n))])
+    products = np.einsum("ry,cyx,kx->rck", rows, grids, columns).astype(np.float32)
+    out = np.empty((3, n, half), np.complex64)
+    fourier.assemble(products, out)
+    close(out, np.fft.rfft2(grids))

@@ -1,0 +1,32 @@
+"""What compares a numba kernel with its numpy twin."""
+
+from __future__ import annotations
+
+from types import FunctionType
+
+import numba
+import numpy as np
+
+
+def alone(part):
+    """A compiled copy by another name, for a part of another kernel.
+
+    The process would link the part itself, once it is loaded, into that kernel too, in place of the copy that was
+    optimised there, and every later result would be rounded otherwise.
+    """
+    function = FunctionType(part.py_func.__code__, part.py_func.__globals__, f"{part.__name__}_alone")
+    return numba.njit(fastmath=True, error_model="numpy")(function)
+
+
+def close(actual, expected, tolerance=2e-5):
+    """Equal up to float32: relative to the largest value."""
+    assert actual.shape == expected.shape
+    np.testing.assert_allclose(actual, expected, rtol=1e-4, atol=tolerance * max(1e-6, np.abs(expected).max()))
+
+
+def complex_noise(rng, *shape):
+    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)).astype(np.complex64)
+
+
+def patch_of(image, height, width):
+    return np.ascontiguousarray(image[20 : 20 + height, 30 : 30 + width])
