@@ -19,17 +19,24 @@ from .kernels.template import energy
 from .workspace import scratch
 
 PENALTIES = (1.0, 10.0)
-"""ADMM's penalty in each of its iterations; the paper's schedule, which two iterations take far enough."""
+"""ADMM's penalty in each of its iterations; the paper's schedule, which two iterations take far enough.
+
+Only the first training starts from nothing. A later one goes on where the last has ended, with the last penalty:
+the target has changed by less than what one iteration mends."""
 
 
 class BackgroundAwareFilter:
-    """``filters`` (channels, n, n // 2 + 1) complex64, applied as those of equation 3 are."""
+    """``filters`` (channels, n, n // 2 + 1) complex64, applied as those of equation 3 are.
+
+    ``unmasked`` is what they were masked from, times the penalty and with the multiplier.
+    """
 
     def __init__(self, window: SearchWindow, channels: int, label_f: Spectra, regularization: float) -> None:
         n, half = window.cells, window.cells // 2 + 1
         self.regularization = regularization
         self.label = (np.conj(label_f) / n**2).astype(np.complex64)
         self.filters = np.zeros((channels, n, half), np.complex64)
+        self.unmasked = np.zeros((channels, n, half), np.complex64)
         self.all_channels = np.array([[0, channels]], np.int64)
         frequencies, cells = np.arange(n), [_middle(n, side) for side in window.target]
         rows = np.exp(2j * np.pi / n * np.outer(cells[1], frequencies))
@@ -40,19 +47,23 @@ class BackgroundAwareFilter:
         self.columns_back = (waves * twice[:, None, None]).reshape(2 * half, -1).astype(np.float32)
         self.columns = np.ascontiguousarray(waves.reshape(2 * half, -1).T, np.float32)
 
-    def train(self, mean: Spectra) -> None:
+    def train(self, mean: Spectra, first: bool = False) -> None:
         """Solve for the running ``mean`` of the target's spectra, (channels, n, n // 2 + 1) complex64."""
         power = scratch("background_power", mean.shape[1:])
         energy(mean, self.all_channels[0], power)
         power /= mean.shape[1] ** 2
-        unmasked = scratch("background_unmasked", mean.shape, np.complex64)
-        unmasked[:] = 0
-        self.filters[:] = 0
-        before = np.float32(0)
-        for penalty in map(np.float32, PENALTIES):
-            solve_background(mean, self.label, power, before, penalty, self.filters, unmasked)
-            np.multiply(self._masked(unmasked), np.float32(1 / (penalty + self.regularization)), out=self.filters)
+        before = np.float32(PENALTIES[-1])
+        if first:
+            self.filters[:] = self.unmasked[:] = before = np.float32(0)
+        for penalty in map(np.float32, PENALTIES if first else PENALTIES[-1:]):
+            solve_background(mean, self.label, power, before, penalty, self.filters, self.unmasked)
+            masked = self._masked(self.unmasked)
+            np.multiply(masked, np.float32(1 / (penalty + self.regularization)), out=self.filters)
             before = penalty
+
+    def resume(self) -> None:
+        """Have the next training go on from ``filters`` alone."""
+        np.multiply(self.filters, np.float32(PENALTIES[-1]), out=self.unmasked)
 
     def _masked(self, spectra: Spectra) -> Spectra:
         """The spectra of what ``spectra`` have inside the target's box."""

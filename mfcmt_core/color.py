@@ -11,9 +11,15 @@ from .kernels.color import bin_gray, bin_pixels, box_means, learn_colors, look_u
 from .workspace import scratch
 
 Bins = npt.NDArray[np.uint16]
+Rectangle = tuple[int, int, int, int]
+"""``(top, left, bottom, right)`` in pixels of the patch."""
 
 BINS = 32
 """Bins a channel (section IV-A)."""
+MAX_GAIN = np.float32(1e9)
+"""Of the histograms; beyond it they are scaled back to 1."""
+SEEN = 1e-12
+"""Part of both regions from which on a colour counts as seen then."""
 
 
 class ColorModel:
@@ -22,6 +28,10 @@ class ColorModel:
     The foreground is the middle 85 % of the target's sides, the background the window outside the whole
     target; the ring between belongs to neither. Each histogram has sum 1, which makes equation 6 the
     regression of equation 5 with its two terms normalised by area. A grey sequence has one axis of bins.
+
+    ``histograms`` (bins, 2) float32, foreground and background, are kept times ``gain``: where the rest would
+    fade by 1 - η, what is new counts the more instead. Equation 6 does not see a common factor, and of thousands
+    of bins only those have to be touched that a patch shows.
     """
 
     def __init__(self, config: MFCMTConfig, window: SearchWindow, grey: bool) -> None:
@@ -29,8 +39,8 @@ class ColorModel:
         self.rate = np.float32(config.histogram_learning_rate)
         self.unseen = np.float32(config.unseen_likelihood)
         size = BINS if grey else BINS**3
-        self.foreground = np.zeros(size, np.float32)
-        self.background = np.zeros(size, np.float32)
+        self.histograms = np.zeros((size, 2), np.float32)
+        self.gain = np.ones(1, np.float32)
         self.lookup = np.zeros(size, np.float32)
         side = window.patch_size
         per_cell = side / window.cells  # 150 px hold 37 cells of 4.05
@@ -38,6 +48,8 @@ class ColorModel:
         self.inner = _centered(side, w * config.foreground_fraction, h * config.foreground_fraction)
         self.outer = _centered(side, w, h)
         self.box = (self.outer[3] - self.outer[1], self.outer[2] - self.outer[0])  # (w, h)
+        pixels = (_area(self.inner), side * side - _area(self.outer))
+        self.pixels = np.maximum(pixels, 1).astype(np.float32)
         (rx, ry), (bw, bh) = window.reach, self.box
         steps_x, steps_y = np.arange(-rx, rx + 1) * CELL, np.arange(-ry, ry + 1) * CELL
         self.columns = np.clip((side - bw) // 2 + steps_x, 0, side - bw)
@@ -51,16 +63,29 @@ class ColorModel:
         box_means(integral, self.rows, self.columns, self.box[1], self.box[0], out)
         return float(out.max())
 
-    def learn(self, bins: Bins, first: bool = False) -> None:
-        """Move both histograms towards those of a patch centred on the target (equation 11)."""
+    def learn(self, bins: Bins, offset: tuple[float, float] = (0, 0), first: bool = False) -> None:
+        """Move both histograms towards those of a patch of the target (equation 11), ``offset`` (x, y) cells off it."""
         rate = np.float32(1) if first else self.rate
-        counts = scratch("color_counts", (2, len(self.foreground)), np.int32)  # nobody else's: always zero
-        learn_colors(bins, self.inner, self.outer, rate, counts, self.foreground, self.background)
+        self._fade(np.float32(1) - rate)
+        one_f, one_b = rate * self.gain / self.pixels
+        inner, outer = _moved(self.inner, offset, len(bins)), _moved(self.outer, offset, len(bins))
+        shown = scratch("colors_shown", bins.shape, np.uint16).ravel()
+        counts = scratch("color_counts", self.lookup.shape, np.int64)  # nobody else's: always zero
+        learn_colors(bins, inner, outer, one_f, one_b, self.unseen, shown, counts, self.histograms, self.lookup)
+
+    def _fade(self, keep: np.float32) -> None:
+        """Multiply what is known by ``keep``."""
+        if keep * MAX_GAIN > self.gain[0]:
+            self.gain /= keep
+            return
+        self.histograms *= keep / self.gain
+        self.histograms[self.histograms.sum(1) < SEEN] = 0
+        self.gain[0] = 1
         self.refresh()
 
     def refresh(self) -> None:
         """Compute the look-up table from the histograms."""
-        tabulate(self.foreground, self.background, self.unseen, self.lookup)
+        tabulate(self.histograms, self.unseen, self.lookup)
 
     def bins(self, patch: Image) -> Bins:
         """The histogram bin of each pixel of ``patch`` (H, W[, 3]), (H, W) uint16."""
@@ -69,8 +94,20 @@ class ColorModel:
         return bins
 
 
-def _centered(side: int, width: float, height: float) -> tuple[int, int, int, int]:
-    """``(top, left, bottom, right)`` of a centred box of at least one pixel in a square patch."""
+def _centered(side: int, width: float, height: float) -> Rectangle:
+    """A centred box of at least one pixel in a square patch."""
     w, h = min(max(round(width), 1), side), min(max(round(height), 1), side)
     top, left = (side - h) // 2, (side - w) // 2
     return top, left, top + h, left + w
+
+
+def _area(rectangle: Rectangle) -> int:
+    top, left, bottom, right = rectangle
+    return (bottom - top) * (right - left)
+
+
+def _moved(rectangle: Rectangle, offset: tuple[float, float], side: int) -> Rectangle:
+    """Moved by ``offset`` (x, y) cells, as far as it stays in the patch."""
+    dx, dy = round(offset[0] * CELL), round(offset[1] * CELL)
+    top, left, bottom, right = rectangle
+    return max(top + dy, 0), max(left + dx, 0), min(bottom + dy, side), min(right + dx, side)

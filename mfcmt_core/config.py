@@ -46,6 +46,9 @@ class MFCMTConfig:
     """What equation 11 averages: W itself, or its numerator and denominator."""
     background_interval: int = 4
     """Learned frames from one training of the background-aware filter to the next; 0: there is no such filter."""
+    learn_within: float = 1.0
+    """Cells that the target may be off the middle of what is learned, and a step of scale off its size; further off
+    the window is cut anew. 0: always."""
 
     # Statistical model (equations 4–7)
     color_histogram: bool = True
@@ -88,13 +91,15 @@ class MFCMTConfig:
     # Scale (Algorithm 1, line 8; DSST)
     num_scales: int = 33
     """Scales searched, odd; 1 for a fixed size."""
+    scale_samples: int = 15
+    """Of these so many are sampled, odd; between them the response is interpolated (fDSST)."""
     scale_step: float = 1.02
     """Ratio of neighbouring scales."""
     scale_learning_rate: float = 0.025
     scale_regularization: float = 1e-2
     scale_sigma_factor: float = 0.25
     """Standard deviation of the scale label over √num_scales."""
-    scale_max_area: float = 512.0
+    scale_max_area: float = 1024.0
     """Pixels of a scale sample, at most."""
     scale_when_reliable: bool = True
     """Search the scale on reliable frames only."""
@@ -122,6 +127,9 @@ class MFCMTConfig:
             usual_threshold=0.0,
             lost_after=0,
             doubt_threshold=0.0,
+            learn_within=0.0,
+            scale_samples=33,
+            scale_max_area=512.0,
         )
 
     @classmethod
@@ -170,8 +178,9 @@ class MFCMTConfig:
             raise BadConfig("without colour histogram, gray or fhog nothing is left to track a grey target by")
         if self.background_interval and self.average != "spectra":
             raise BadConfig("the background-aware filter learns from the mean of spectra: average='spectra'")
-        if self.num_scales % 2 == 0:
-            raise BadConfig(f"num_scales={self.num_scales} is not odd")
+        for name in ("num_scales", "scale_samples"):
+            if getattr(self, name) % 2 == 0:
+                raise BadConfig(f"{name}={getattr(self, name)} is not odd")
         if self.scale_step ** (self.num_scales // 2) > MAX_ZOOM:
             raise BadConfig(f"{self.num_scales} scales of step {self.scale_step} go beyond a factor of {MAX_ZOOM}")
         if self.color_name_table is not None and not isinstance(self.color_name_table, str):
@@ -209,7 +218,9 @@ _RANGES: dict[str, tuple[type, float, float]] = {
     "found_threshold": (float, 0, 10),
     "doubt_threshold": (float, 0, 1),
     "doubt_margin": (float, 1, 1e3),
+    "learn_within": (float, 0, 10),
     "num_scales": (int, 1, 101),
+    "scale_samples": (int, 3, 101),
     "scale_step": (float, 1.001, 1.5),
     "scale_learning_rate": (float, 0, 1),
     "scale_regularization": (float, 1e-8, 1e3),

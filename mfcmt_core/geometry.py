@@ -128,13 +128,14 @@ def _inside(start: int, length: int, step: int, low: int, extent: int) -> tuple[
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """Pixels of the search window, ``(patch, patch[, 3])``, and where they come from.
+    """Pixels of the search window and its margin, ``(side, side[, 3])``, and where they come from.
 
-    ``center`` is the exact centre of the whole-pixel cut and ``step`` the image pixels a patch pixel, (x, y):
-    displacements count from that centre, not from the unrounded one that was asked for.
+    ``rect`` is the cut in whole pixels of the frame, ``center`` its exact centre and ``step`` the image pixels a
+    patch pixel, (x, y): displacements count from that centre, not from the unrounded one that was asked for.
     """
 
     pixels: Image
+    rect: Rect
     center: tuple[float, float]
     step: tuple[float, float]
 
@@ -143,8 +144,9 @@ class SearchWindow:
     """The search window of one target: its size at scale 1 and the grids that lie on it.
 
     ``extent`` (w, h) image pixels at scale 1; ``patch_size`` the side of the square patch that it is resized
-    to (the aspect is not kept: every target has the same grid and the same cost); ``cells`` a side;
-    ``target`` (w, h) of the target in cells; ``reach`` (x, y) the largest displacement in cells.
+    to (the aspect is not kept: every target has the same grid and the same cost); ``margin`` how many more of its
+    pixels are cut on each side, for another window near by; ``cells`` a side; ``target`` (w, h) of the target in
+    cells; ``reach`` (x, y) the largest displacement in cells.
     """
 
     def __init__(self, config: MFCMTConfig, base_size: tuple[float, float]) -> None:
@@ -159,6 +161,7 @@ class SearchWindow:
             self.extent = (k * sqrt(w * h), k * sqrt(w * h))
         self.base_size = base_size
         self.patch_size = config.patch_size
+        self.margin = config.patch_size // 8 if config.learn_within else 0
         self.cells = config.patch_size // CELL
         self.target = (self.cells * w / self.extent[0], self.cells * h / self.extent[1])
         self.reach = (self._reach(self.target[0]), self._reach(self.target[1]))
@@ -175,10 +178,10 @@ class SearchWindow:
 
     def crop(self, frame: Frame, within: Rect, center: tuple[float, float], scale: float) -> Patch:
         """The window's pixels at ``center`` and ``scale``; nothing outside ``within`` is looked at."""
-        x, y, w, h = self.rect(center, scale)
-        size = self.patch_size
-        pixels = frame.sample((x, y, w, h), within, (size, size))
-        return Patch(pixels, (x + w / 2, y + h / 2), (w / size, h / size))
+        side = self.patch_size + 2 * self.margin
+        x, y, w, h = rect = self.rect(center, scale, side / self.patch_size)
+        pixels = frame.sample(rect, within, (side, side))
+        return Patch(pixels, rect, (x + w / 2, y + h / 2), (w / side, h / side))
 
     def neighbours(
         self, center: tuple[float, float], scale: float, frame_size: tuple[int, int], axis: int
@@ -188,11 +191,6 @@ class SearchWindow:
         dx, dy = self.extent[0] * scale / 2, self.extent[1] * scale / 2
         places = [(x, y - dy), (x, y + dy)] if axis else [(x - dx, y), (x + dx, y)]
         return [(x, y) for x, y in places if 0 <= x <= frame_size[0] and 0 <= y <= frame_size[1]]
-
-    def displaced(self, patch: Patch, displacement: tuple[float, float]) -> tuple[float, float]:
-        """The place in the frame that lies ``displacement`` (x, y) cells from the patch's centre."""
-        dx, dy = displacement
-        return patch.center[0] + dx * CELL * patch.step[0], patch.center[1] + dy * CELL * patch.step[1]
 
 
 def clip_rect(rect: Rect, frame_size: tuple[int, int]) -> Rect:

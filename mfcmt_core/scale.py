@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
+from math import log, sqrt
 
 import cv2
 import numpy as np
@@ -39,17 +39,18 @@ class Spectra:
 class ScaleModel:
     """Finds the target's size among ``num_scales`` steps around the last one.
 
-    One sample a scale: the target's box at that size, resized to at most ``scale_max_area`` pixels, as
-    fHOG; the filter is the ridge regression of equation 1 along the axis of scales, with a Gaussian
-    label and a Hann window over it. Numerator and denominator are running means; the label is the same in
-    every frame, so that the numerator is kept without it.
+    ``scale_samples`` samples over the same range: the target's box at that size, resized to at most
+    ``scale_max_area`` pixels, as fHOG; the filter is the ridge regression of equation 1 along the axis of scales,
+    with a Gaussian label and a Hann window over it. Numerator and denominator are running means; the label is the
+    same in every frame, so that the numerator is kept without it. The response is a sum of waves and can be had
+    at any scale (fDSST: Danelljan et al., PAMI 2017).
 
     Spectra count from the present scale, so that the symmetric label's is real. They are real arrays, see
     :class:`Spectra`.
     """
 
     def __init__(self, config: MFCMTConfig, base_size: tuple[float, float]) -> None:
-        n = config.num_scales
+        n = min(config.scale_samples, config.num_scales)
         reach = n // 2
         side = -(-reach // LANES) * LANES
         self.count = n
@@ -59,12 +60,19 @@ class ScaleModel:
         self.base_size = base_size
         shrink = sqrt(config.scale_max_area / (base_size[0] * base_size[1]))
         self.width, self.height = (_sample_side(side * shrink) for side in base_size)
-        steps = np.arange(-reach, reach + 1)
-        self.factors = (config.scale_step ** steps.astype(float)).astype(np.float32)
+        fine = np.arange(-(config.num_scales // 2), config.num_scales // 2 + 1)
+        self.factors = (config.scale_step ** fine.astype(float)).astype(np.float32)
+        spacing = config.num_scales / n
+        sample_step = config.scale_step**spacing
+        self.largest = sample_step**reach
         distance = np.arange(1, side + 1)
-        lanes = np.concatenate([-distance, distance, [0], np.full(LANES - 1, side + 1)])  # as kernels.scale wants them
+        lanes = np.concatenate([-distance, distance])  # in the order of kernels.scale
+        self.present = reach if reach < side else 2 * side
+        if reach == side:
+            lanes = np.append(lanes, np.full(LANES, side + 1))
+        lanes[self.present] = 0
         inside = abs(lanes) <= reach
-        self.lane_factors = np.where(inside, config.scale_step**lanes, 1).astype(np.float32)
+        self.lane_factors = np.where(inside, sample_step**lanes, 1).astype(np.float32)
         self.window = np.where(inside, 0.5 + 0.5 * np.cos(np.pi * lanes / (reach + 1)), 0).astype(np.float32)
         # n is small and odd: a matrix product beats any transform
         angles = 2 * np.pi / n * np.outer(np.arange(side + 1), distance)
@@ -72,36 +80,34 @@ class ScaleModel:
         self.cosines = (np.cos(angles) * known).astype(np.float32)
         self.sines = (np.sin(angles) * known)[1:].astype(np.float32)
         self.ones = np.ones(side + 1, np.float32)
-        angles = 2 * np.pi / n * np.outer(steps, np.append(distance, 0))
-        label = np.exp(-0.5 * (steps / (sqrt(n) * config.scale_sigma_factor)) ** 2)
-        self.label_f = (label @ np.cos(angles)).astype(np.float32)
-        back = np.concatenate([2 * np.cos(angles[:, :-1]), 2 * np.sin(angles[:, :-1]), np.ones((n, 1))], axis=1)
+        steps = np.arange(-reach, reach + 1)
+        label = np.exp(-0.5 * (steps * spacing / (sqrt(config.num_scales) * config.scale_sigma_factor)) ** 2)
+        self.label_f = (label @ np.cos(2 * np.pi / n * np.outer(steps, np.append(distance, 0)))).astype(np.float32)
+        frequencies = 2 * np.pi / n * distance * (distance <= reach)
+        angles = np.outer(fine / spacing, frequencies)
+        back = np.concatenate([2 * np.cos(angles), 2 * np.sin(angles), np.ones((len(fine), 1))], axis=1)
         self.inverse = (back / n).astype(np.float32)
+        self.angle_of_growth = (frequencies / np.log(sample_step)).astype(np.float32)
         features = CHANNELS * (self.width // CELL) * (self.height // CELL)
         self.mean = Spectra(np.zeros((features, 2 * side), np.float32), np.zeros(features, np.float32))
         self.energy = np.zeros(side + 1, np.float32)
 
     def estimate(self, spectra: Spectra) -> float:
         """The factor by which the target's size differs from the one that ``spectra`` were taken at."""
-        gain = self.label_f / (self.energy + self.regularization)
-        response_f = np.empty(2 * len(gain) - 1, np.float32)
-        respond_scales(spectra.waves, spectra.sums, self.mean.waves, self.mean.sums, gain, response_f)
+        mean, label = self.mean, self.label_f
+        response_f = scratch("scale_response", (2 * len(label) - 1,))
+        respond_scales(
+            spectra.waves, spectra.sums, mean.waves, mean.sums, label, self.energy, self.regularization, response_f
+        )
         response = self.inverse @ response_f
-        best, same = response.argmax(), self.count // 2
+        best, same = response.argmax(), len(self.factors) // 2
         return float(self.factors[best if response[best] > response[same] else same])
 
-    def learn(self, spectra: Spectra, first: bool = False) -> None:
-        """Move the filter towards the target, whose present size ``spectra`` were taken at."""
+    def learn(self, spectra: Spectra, growth: float = 1.0, first: bool = False) -> None:
+        """Move the filter towards the target, which is ``growth`` times the size that ``spectra`` were taken at."""
         rate = np.float32(1) if first else self.rate
-        learn_scales(spectra.waves, spectra.sums, rate, self.mean.waves, self.mean.sums, self.energy)
-
-    def adopt(self, numerator: npt.NDArray[np.complex64], denominator: npt.NDArray[np.float32]) -> None:
-        """Take over a filter given as half spectra, (features, count // 2 + 1) and (count // 2 + 1,)."""
-        reach, side = self.count // 2, len(self.sines)
-        waves = numerator[:, 1:] / self.label_f[:reach]
-        self.mean.waves[:, :reach], self.mean.waves[:, side : side + reach] = waves.real, -waves.imag
-        self.mean.sums[:] = numerator[:, 0].real / self.label_f[-1]
-        self.energy[:reach], self.energy[-1] = denominator[1:], denominator[0]
+        angles = self.angle_of_growth * np.float32(log(growth))
+        learn_scales(spectra.waves, spectra.sums, angles, rate, self.mean.waves, self.mean.sums, self.energy)
 
     def clamp(self, scale: float, frame_size: tuple[int, int]) -> float:
         """``scale`` within what makes sense: a few pixels at least, the frame at most."""
@@ -113,8 +119,7 @@ class ScaleModel:
     def spectra(self, frame: Frame, within: Rect, center: tuple[float, float], scale: float) -> Spectra:
         """What the target's surroundings at that centre look like at each scale; scratch, until the next call."""
         w, h = self.base_size[0] * scale, self.base_size[1] * scale
-        largest = float(self.factors[-1])
-        gray, (cx, cy), (fx, fy) = _gray_cut(frame, within, center, (w, h), largest, (self.width, self.height))
+        gray, (cx, cy), (fx, fy) = _gray_cut(frame, within, center, (w, h), self.largest, (self.width, self.height))
         lanes, side = len(self.lane_factors), len(self.sines)
         ny, nx = self.height // CELL, self.width // CELL
         even = scratch("scale_even", (ny * nx * CHANNELS, side + 1))
@@ -125,7 +130,7 @@ class ScaleModel:
             np.float32(cy),
             self.lane_factors * np.float32(w / self.width / fx),
             self.lane_factors * np.float32(h / self.height / fy),
-            2 * side + 1,
+            self.present,
             self.epsilon,
             self.window,
             scratch("quads", gray.shape, np.uint32),

@@ -17,12 +17,14 @@ from .geometry import MAX_FRAME_SIDE, MIN_BOX_SIDE
 from .reliability import HISTORY
 
 if TYPE_CHECKING:
-    from .tracker import Target
+    from .target import Target
 
 FORMAT = "mfcmt-tracker"
-VERSION = 2
-PREVIOUS = 1
-"""Held numerators in place of mean spectra, and knew one template filter and one look. Read, not written."""
+VERSION = 3
+PREVIOUS = 2
+"""Held the filters beside what they follow from, and the histograms apart. Read, not written."""
+SINCE = {"learn_within": 0.0, "scale_samples": 101}
+"""Parameters that it did not know, as it had them: a window for each model, every scale sampled."""
 MAX_VALUE = 1e12
 """Of any array: far above what images give, and responses to it stay inside float32."""
 SIGNED = ("scale_waves",)
@@ -85,8 +87,7 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
     if document.get("version") not in (VERSION, PREVIOUS):
         raise BadSnapshot(f"version {document.get('version')!r} is not {VERSION} or {PREVIOUS}")
     try:
-        since = {"background_interval": 0, "doubt_threshold": 0.0} if document["version"] == PREVIOUS else {}
-        config = MFCMTConfig.from_dict(since | document["config"])
+        config = MFCMTConfig.from_dict((SINCE if document["version"] == PREVIOUS else {}) | document["config"])
         width, height = (_integer(v, 1, MAX_FRAME_SIDE) for v in document["frame_size"])
         w, h = (_number(v, MIN_BOX_SIDE, 4 * MAX_FRAME_SIDE) for v in document["base_size"])
         x, y = (_number(v, 0, side) for v, side in zip(document["center"], (width, height), strict=True))
@@ -97,7 +98,7 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
             "learned": _integer(r["learned"], 0, 1 << 62),
             "unreliable_run": _integer(r["unreliable_run"], 0, 1 << 62),
             "lost": _boolean(r["lost"]),
-            "doubtful": _boolean(r.get("doubtful", False)),
+            "doubtful": _boolean(r["doubtful"]),
         }
         scale = _number(document["scale"], 1e-6, 1e10)
         state = State(
@@ -116,20 +117,21 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
 
 def restore(target: Target, state: State) -> None:
     """Fill a target built for ``state``'s sizes. Raises BadSnapshot where an array does not fit it."""
-    previous = state.version == PREVIOUS
-    expected = _previous_arrays(target) if previous else _arrays(target)
+    expected = _arrays(target) if state.version == VERSION else _previous_arrays(target)
     if set(expected) != set(state.arrays):
         raise BadSnapshot(f"the arrays are not {sorted(expected)}")
     for name, array in expected.items():
         _unpack(name, state.arrays[name], array)
-    if previous and target.template and "numerator" in expected:
-        target.template.adopt(expected["numerator"])
-    if previous and target.sizes:
-        target.sizes.adopt(expected["scale_numerator"], expected["scale_denominator"])
     target.center, target.scale = state.center, state.scale
     for name, value in state.reliability.items():
         setattr(target.reliability, name, value)
+    if target.template:
+        target.template.refresh()
+        if target.template.background and state.version == PREVIOUS:
+            target.template.background.resume()
     if target.color:
+        if not (target.color.gain > 0).all():
+            raise BadSnapshot("histograms without gain")
         target.color.refresh()
 
 
@@ -137,30 +139,31 @@ def _arrays(target: Target) -> dict[str, npt.NDArray[Any]]:
     """The live arrays of every model by name; what follows from others is left out."""
     arrays: dict[str, npt.NDArray[Any]] = {}
     if t := target.template:
-        arrays["filters"] = t.filters
+        arrays["mean"] = t.mean
         if t.average == "spectra":
-            arrays |= {"mean": t.mean, "denominator": t.denominator}
+            arrays["denominator"] = t.denominator
         if t.background:
-            arrays["background_filters"] = t.background.filters
+            arrays |= {"background_filters": t.background.filters, "background_unmasked": t.background.unmasked}
     if c := target.color:
-        arrays |= {"foreground": c.foreground, "background": c.background}
+        arrays |= {"histograms": c.histograms, "histogram_gain": c.gain}
     if s := target.sizes:
         arrays |= {"scale_waves": s.mean.waves, "scale_sums": s.mean.sums, "scale_energy": s.energy}
     return arrays
 
 
 def _previous_arrays(target: Target) -> dict[str, npt.NDArray[Any]]:
-    """What the version before had in place of the means of spectra."""
+    """The same by the names that they had in the version before."""
     arrays = _arrays(target)
-    if "mean" in arrays:
-        arrays["numerator"] = np.zeros_like(arrays.pop("mean"))
-    if s := target.sizes:
-        shape = (len(s.mean.sums), s.count // 2 + 1)
-        arrays = {name: array for name, array in arrays.items() if not name.startswith("scale_")}
-        arrays |= {
-            "scale_numerator": np.zeros(shape, np.complex64),
-            "scale_denominator": np.zeros(shape[1], np.float32),
-        }
+    if t := target.template:
+        if t.average == "spectra":
+            arrays["filters"] = np.empty_like(t.mean)
+        else:
+            arrays["filters"] = arrays.pop("mean")
+        arrays.pop("background_unmasked", None)
+    if target.color:
+        histograms = arrays.pop("histograms")
+        arrays |= {"foreground": histograms[:, 0], "background": histograms[:, 1]}
+        del arrays["histogram_gain"]
     return arrays
 
 

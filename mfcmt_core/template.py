@@ -12,11 +12,8 @@ from .config import MFCMTConfig
 from .features import FeatureStack
 from .fourier import Spectra, Transform
 from .geometry import Image, SearchWindow
-from .kernels.template import energy, learn_filters, learn_spectra, respond_filters
+from .kernels.template import energy, learn_filters, learn_spectra, respond_filters, turn
 from .workspace import scratch
-
-LEAST_LABEL = 1e-6
-"""Of the label's largest frequency: below it there is nothing to divide by."""
 
 
 class TemplateModel:
@@ -25,6 +22,10 @@ class TemplateModel:
     Spectra are unnormalised half spectra (channels, n, n // 2 + 1) complex64 of the n × n cells; λ is
     scaled by n², which makes it the λ of a regression with normalised transforms. Equation 3 needs the
     conjugate of the filter, which the paper's print leaves out.
+
+    ``mean`` (channels, n, n // 2 + 1) is what equation 11 averages: W, or the numerator of equation 2 without
+    the label, which is the same in every frame. Then ``denominator`` (models, n, n // 2 + 1) is the other mean and
+    ``gain`` what both leave to multiply a response with.
     """
 
     def __init__(self, config: MFCMTConfig, window: SearchWindow, grey: bool) -> None:
@@ -44,30 +45,25 @@ class TemplateModel:
         bell = np.exp(-0.5 * (distance / sigma) ** 2)
         self.label_f = np.fft.rfft2(np.outer(bell, bell)).astype(np.complex64)
         shape = (self.features.channels, n, n // 2 + 1)
-        self.filters = np.zeros(shape, np.complex64)
-        if self.average == "spectra":
-            self.mean = np.zeros(shape, np.complex64)
-            self.denominator = np.zeros((len(blocks), *shape[1:]), np.float32)
+        self.mean = np.zeros(shape, np.complex64)
+        self.denominator = np.zeros((len(blocks), *shape[1:]), np.float32)
+        self.gain = np.ones((len(blocks), *shape[1:]), np.complex64)
         self.background: BackgroundAwareFilter | None = None
         self.interval = config.background_interval
         if self.interval:
             self.background = BackgroundAwareFilter(window, shape[0], self.label_f, config.regularization)
             self.names += ("background",)
 
-    def adopt(self, numerator: Spectra) -> None:
-        """Take over a mean that is given times the label's conjugate, as equation 2 has it."""
-        label = np.conj(self.label_f)
-        np.divide(numerator, label, out=self.mean, where=np.abs(label) > LEAST_LABEL * np.abs(label).max())
-
-    def spectra(self, patch: Image) -> Spectra:
+    def spectra(self, patch: Image, gray: Image) -> Spectra:
         """Half spectra of the windowed features of ``patch``, (channels, n, n // 2 + 1) complex64."""
-        return self.transform.forward(self.features.extract(patch))
+        return self.transform.forward(self.features.extract(patch, gray))
 
     def respond(self, spectra: Spectra, out: npt.NDArray[np.float32]) -> float:
         """Responses within reach into ``out`` (models, 2·ry + 1, 2·rx + 1); the mean of the ridge filters' peaks."""
         models = len(self.blocks)
         response_f = scratch("response_f", (len(self.names), *spectra.shape[1:]), np.complex64)
-        respond_filters(self.filters, spectra, self.blocks, response_f[:models])
+        respond_filters(self.mean, spectra, self.blocks, response_f[:models])
+        response_f[:models] *= self.gain
         if self.background:
             respond_filters(self.background.filters, spectra, self.background.all_channels, response_f[models:])
         out[...] = self.transform.backward(response_f)
@@ -77,23 +73,32 @@ class TemplateModel:
         """What each cue adds to the response of a joint filter, (2·ry + 1, 2·rx + 1), by cue: to look at."""
         blocks = np.array([(b.start, b.stop) for b in self.features.blocks.values()], np.int64)
         parts_f = np.empty((len(blocks), *spectra.shape[1:]), np.complex64)
-        respond_filters(self.filters, spectra, blocks, parts_f)
+        respond_filters(self.mean, spectra, blocks, parts_f)
+        parts_f *= self.gain
         return dict(zip(self.features.blocks, self.transform.backward(parts_f), strict=True))
 
-    def learn(self, spectra: Spectra, learned: int | None = None) -> None:
-        """Learn a patch centred on the target at the learning rate (equation 11), or at 1 the first time.
+    def learn(self, spectra: Spectra, offset: tuple[float, float] = (0, 0), learned: int | None = None) -> None:
+        """Learn a patch of the target at the learning rate (equation 11), or at 1 the first time.
 
-        ``learned`` counts the frames learned before this one since the first; None is the first.
+        ``offset`` (x, y) in cells is where in the patch the target's centre is; ``spectra`` are turned to have it
+        in the middle. ``learned`` counts the frames learned before this one since the first; None is the first.
         """
+        if any(offset):
+            turn(spectra, *offset)
         first = learned is None
-        energies = scratch("energies", (len(self.blocks), *spectra.shape[1:]))
-        for block, out in zip(self.blocks, energies, strict=True):
-            energy(spectra, block, out)
         rate = np.float32(1) if first else self.rate
-        common = (spectra, self.label_f, self.blocks, self.regularization, rate, energies)
         if self.average == "spectra":
-            learn_spectra(*common, self.mean, self.denominator, self.filters)
+            learn_spectra(spectra, self.blocks, rate, self.mean, self.denominator)
+            self.refresh()
         else:
-            learn_filters(*common, self.filters)
+            energies = scratch("energies", self.denominator.shape)
+            for block, out in zip(self.blocks, energies, strict=True):
+                energy(spectra, block, out)
+            learn_filters(spectra, self.label_f, self.blocks, self.regularization, rate, energies, self.mean)
         if self.background and (learned is None or learned % self.interval == self.interval - 1):
-            self.background.train(self.mean)
+            self.background.train(self.mean, first)
+
+    def refresh(self) -> None:
+        """Compute the gain from the denominator."""
+        if self.average == "spectra":
+            np.divide(self.label_f, self.denominator + self.regularization, out=self.gain)

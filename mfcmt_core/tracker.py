@@ -6,23 +6,18 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from . import snapshot
-from .color import Bins, ColorModel
 from .config import MFCMTConfig
 from .errors import BadConfig, BadImage, BadSnapshot, NotInitialised
-from .fourier import Spectra
 from .fusion import fuse
-from .geometry import Frame, Image, Patch, Rect, SearchWindow, check_box, clip_rect, grow_rect
+from .geometry import Frame, Image, Rect, SearchWindow, check_box, clip_rect, grow_rect
 from .redetection import other_peaks, propose
-from .reliability import Peaks, Reliability, Verdict
-from .result import Box, TrackResult
-from .scale import ScaleModel
-from .template import TemplateModel
-from .workspace import scratch
+from .reliability import Peaks, Verdict
+from .result import TrackResult
+from .target import Cut, Observation, Point, Target, is_grey
 
 ATTENTION = 1.25
 """What a frame is looked at for: the search window times this. It leaves the target room to move by an eighth
@@ -31,60 +26,6 @@ WIDE_ATTENTION = 2.0
 """The same where the last frame left doubts: the windows on all four sides, too."""
 MOTION_ROOM = 0.5
 """Of the target's side, on each side of the region: how far it may move in one frame in flight."""
-GREY_TOLERANCE = 1
-"""Grey levels that the channels of a grey sequence may differ by."""
-
-Point = tuple[float, float]
-
-
-class Target:
-    """The models of one target and where it is: what :meth:`MFCMT.init` builds."""
-
-    def __init__(self, config: MFCMTConfig, base_size: Point, grey: bool) -> None:
-        self.grey = grey
-        self.base_size = base_size
-        self.center: Point = (0.0, 0.0)
-        self.scale = 1.0
-        self.window = SearchWindow(config, base_size)
-        cues = [c for c in config.features if not (grey and c == "color_names")]
-        self.template = TemplateModel(config, self.window, grey) if cues else None
-        self.color = ColorModel(config, self.window, grey) if config.color_histogram or not cues else None
-        self.sizes = ScaleModel(config, base_size) if config.num_scales > 1 else None
-        self.reliability = Reliability(config)
-        names = (self.template.names if self.template else ()) + (("statistical",) if self.color else ())
-        self.map_names: tuple[str, ...] = names
-        self.map_weights = np.ones(len(names), np.float32)
-        if self.color:
-            self.map_weights[-1] = config.statistical_weight if cues else 1
-
-    def observe(self, frame: Frame, within: Rect, center: Point) -> Observation:
-        """Lines 2–4 of Algorithm 1: crop the window around ``center`` and extract what the models need."""
-        patch = self.window.crop(frame, within, center, self.scale)
-        pixels = _as_mode(patch.pixels, self.grey)
-        return Observation(
-            self.window.rect(center, self.scale),
-            patch,
-            self.template.spectra(pixels) if self.template else np.empty(0, np.complex64),
-            self.color.bins(pixels) if self.color else np.empty(0, np.uint16),
-        )
-
-    def learn(self, seen: Observation, first: bool = False) -> None:
-        """Line 11 of Algorithm 1, on an observation centred on the target."""
-        if self.template:
-            self.template.learn(seen.spectra, None if first else self.reliability.learned)
-        if self.color:
-            self.color.learn(seen.bins, first)
-
-    def maps(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """Scratch for the single maps (maps, rows, columns) and the fused one (rows, columns)."""
-        shape = (2 * self.window.reach[1] + 1, 2 * self.window.reach[0] + 1)
-        return scratch("responses", (len(self.map_names), *shape)), scratch("fused", shape)
-
-    @property
-    def box(self) -> Box:
-        """The box at the present centre and scale."""
-        w, h = self.base_size[0] * self.scale, self.base_size[1] * self.scale
-        return self.center[0] - w / 2, self.center[1] - h / 2, w, h
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,20 +35,6 @@ class Found:
     center: Point
     peaks: Peaks
     psr: float
-
-
-@dataclass(frozen=True, slots=True)
-class Observation:
-    """The search window at one place of one frame, and what the models see in it.
-
-    ``rect`` is the window in whole pixels: where it is the same, so is everything else. ``spectra`` and
-    ``bins`` are empty where there is no such model.
-    """
-
-    rect: Rect
-    patch: Patch
-    spectra: Spectra
-    bins: Bins
 
 
 Look = tuple[Observation, Found]
@@ -153,7 +80,7 @@ class MFCMT:
         window = SearchWindow(self.config, (w, h))
         within = clip_rect(window.rect(center, 1.0, ATTENTION), frame.size)
         frame.require(within)
-        grey = _is_grey(window.crop(frame, within, center, 1.0).pixels)
+        grey = is_grey(window.crop(frame, within, center, 1.0).pixels)
         target = Target(self.config, (w, h), grey)
         target.center = center
         target.learn(target.observe(frame, within, center), first=True)
@@ -188,8 +115,8 @@ class MFCMT:
             target.center = found.center
             self._resize(target, frame, within, verdict)
         if verdict.reliable:
-            if target.window.rect(target.center, target.scale) != seen.rect:
-                seen = target.observe(frame, within, target.center)
+            if not target.is_near(seen):
+                seen = target.observe(frame, within, target.center, seen.cut)
             target.learn(seen)
             target.reliability.learned_from(found.peaks)
         return TrackResult(
@@ -259,24 +186,26 @@ class MFCMT:
         if not target.reliability.doubts(first[1].peaks):
             return first
         others = other_peaks(target.maps()[1], target.window.target)
-        centred = look(first[1].center)  # off the middle of the window a target's peak is lower
-        if not target.reliability.doubts(centred[1].peaks):
-            return first
+        centred = first
+        if not first[0].is_central(first[1].center):  # off the middle of the window a target's peak is lower
+            centred = look(first[1].center, first[0].cut)
+            if not target.reliability.doubts(centred[1].peaks):
+                return first
         target.reliability.doubtful = True
         if was_doubtful:  # on two sides, in turn: no frame should cost more than two others
             axis = target.reliability.unreliable_run % 2
             places = target.window.neighbours(target.center, target.scale, frame.size, axis)
-            around = [look(place) for place in places]
-            looks = [look(max(around, key=_strength)[1].center)] if around else []
+            around = max((look(place) for place in places), key=_strength, default=centred)
+            looks = [look(around[1].center, around[0].cut)] if _strength(around) > _strength(centred) else []
         else:
-            looks = [look(target.window.displaced(first[0].patch, displacement)) for displacement in others]
+            looks = [look(first[0].displaced(displacement)) for displacement in others]
         best = max(looks, key=_strength, default=centred)
         decisive = best[1].peaks.template > self.config.doubt_margin * centred[1].peaks.template
         return best if decisive else first
 
-    def _look(self, target: Target, frame: Frame, within: Rect, place: Point) -> Look:
+    def _look(self, target: Target, frame: Frame, within: Rect, place: Point, cut: Cut | None = None) -> Look:
         """What the window around ``place`` shows and where its fused map peaks."""
-        seen = target.observe(frame, within, place)
+        seen = target.observe(frame, within, place, cut)
         return seen, self._detect(target, frame, seen)
 
     def _detect(self, target: Target, frame: Frame, seen: Observation) -> Found:
@@ -288,7 +217,7 @@ class MFCMT:
         if target.color:
             statistical = target.color.respond(seen.bins, responses[-1])
         peak = fuse(responses, target.map_weights, self.config, fused)
-        x, y = target.window.displaced(seen.patch, peak.displacement)
+        x, y = seen.displaced(peak.displacement)
         center = (min(max(x, 0.0), float(frame.size[0])), min(max(y, 0.0), float(frame.size[1])))
         return Found(center, Peaks(peak.height, template, statistical), peak.psr)
 
@@ -300,9 +229,10 @@ class MFCMT:
         spectra = sizes.spectra(frame, within, target.center, target.scale)
         scale = sizes.clamp(target.scale * sizes.estimate(spectra), frame.size)
         if verdict.reliable:
-            if scale != target.scale:
-                spectra = sizes.spectra(frame, within, target.center, scale)
-            sizes.learn(spectra)
+            growth = scale / target.scale
+            if growth != 1 and not self.config.learn_within:
+                spectra, growth = sizes.spectra(frame, within, target.center, scale), 1.0
+            sizes.learn(spectra, growth)
         target.scale = scale
 
     def _copy_maps(self, target: Target, frame: Frame, seen: Observation) -> dict[str, npt.NDArray[np.float32]]:
@@ -320,19 +250,3 @@ class MFCMT:
                 fuse(part[None], np.ones(1, np.float32), self.config, np.empty_like(part))
                 kept[name] = part
         return kept
-
-
-def _is_grey(pixels: Image) -> bool:
-    """Whether the channels differ by no more than rounding."""
-    if pixels.ndim == 2:
-        return True
-    blue, green, red = cv2.split(pixels)
-    worst = max(int(cv2.absdiff(blue, green).max()), int(cv2.absdiff(green, red).max()))
-    return worst <= GREY_TOLERANCE
-
-
-def _as_mode(pixels: Image, grey: bool) -> Image:
-    """The pixels in the channels that the target's models expect."""
-    if grey == (pixels.ndim == 2):
-        return pixels
-    return cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY if grey else cv2.COLOR_GRAY2BGR)  # type: ignore[return-value]

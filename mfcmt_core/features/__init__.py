@@ -5,7 +5,6 @@ Each cue is a block of planes of one stack, ``(cells, channels, cells)`` float32
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -47,14 +46,18 @@ class FeatureStack:
                 start += widths[cue]
         self.channels = start
 
-    def extract(self, patch: Image) -> npt.NDArray[np.float32]:
-        """Windowed features (cells, channels, cells) of ``patch`` (H, W[, 3]); scratch, valid until the next call."""
+    def extract(self, patch: Image, gray: Image) -> npt.NDArray[np.float32]:
+        """Windowed features (cells, channels, cells) of ``patch`` (H, W[, 3]); scratch, valid until the next call.
+
+        ``gray`` (H, W) is the patch in grey.
+        """
         n, side = self.cells, self.cells * CELL
         if len(patch) != side:  # 150 px hold 37 cells: what is left over is left out
             margin = (len(patch) - side) // 2
-            patch = np.ascontiguousarray(patch[margin : margin + side, margin : margin + side])
+            patch, gray = (
+                np.ascontiguousarray(p[margin : margin + side, margin : margin + side]) for p in (patch, gray)
+            )
         out = scratch("features", (n, self.channels, n))
-        gray = patch if patch.ndim == 2 else cv2.cvtColor(patch, cv2.COLOR_BGR2GRAY)
         if block := self.blocks.get("gray"):
             gray_cells(gray, self.window, block.start, out)
         if block := self.blocks.get("fhog"):

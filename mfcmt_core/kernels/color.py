@@ -6,10 +6,6 @@ import numpy as np
 
 from ._jit import kernel
 
-SEEN = 1e-12
-"""Part of a region from which on a colour counts as seen."""
-FORGOTTEN = 1e-20
-
 
 @kernel
 def bin_pixels(patch, bins):  # type: ignore[no-untyped-def]
@@ -34,43 +30,59 @@ def bin_gray(patch, bins):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def learn_colors(bins, inner, outer, rate, counts, foreground, background):  # type: ignore[no-untyped-def]
-    """Equation 11: the histograms move by ``rate`` towards those of the two regions of a patch, each of sum 1.
+def count_color(bin_, one, number, counts, shown):  # type: ignore[no-untyped-def]
+    """Add ``one`` to a bin's count; ``shown`` lists the bins that have one. Returns the length of the list."""
+    count = counts[bin_]
+    shown[number] = bin_
+    counts[bin_] = count + one
+    return number + np.uint64(count == 0)
 
-    ``inner`` and ``outer`` are ``(top, left, bottom, right)``: pixels inside ``inner`` are foreground, those
-    outside ``outer`` background, those between neither. ``counts`` (2, bins) int32 is zero, before and after.
+
+@kernel
+def learn_colors(  # type: ignore[no-untyped-def]
+    bins, inner, outer, one_f, one_b, unseen, shown, counts, histograms, lookup
+):
+    """Equation 11 on the colours of a patch: each pixel adds to its bin of a region's histogram.
+
+    ``inner`` and ``outer`` are ``(top, left, bottom, right)``: pixels inside ``inner`` are foreground and add
+    ``one_f``, those outside ``outer`` background and add ``one_b``, those between neither. ``histograms`` (bins, 2)
+    float32 holds both, ``lookup`` what :func:`likelihood` makes of them: no bin is touched that is not shown.
+    ``shown`` (pixels,) uint16 is scratch; ``counts`` (bins,) int64, a count in either half, is 0 before and after.
     """
     height, width = bins.shape
-    count_f, count_b = counts[0], counts[1]
+    number = np.uint64(0)
+    in_front, behind = np.int64(1), np.int64(1) << 32
     for y in range(height):
         row = bins[y]
         if inner[0] <= y < inner[2]:
             for x in range(inner[1], inner[3]):
-                count_f[row[x]] += 1
+                number = count_color(row[x], in_front, number, counts, shown)
         within = outer[0] <= y < outer[2]
         for x in range(outer[1] if within else width):
-            count_b[row[x]] += 1
+            number = count_color(row[x], behind, number, counts, shown)
         for x in range(outer[3] if within else width, width):
-            count_b[row[x]] += 1
-    area_f = max((inner[2] - inner[0]) * (inner[3] - inner[1]), 1)
-    area_b = max(height * width - (outer[2] - outer[0]) * (outer[3] - outer[1]), 1)
-    one_f, one_b = rate / np.float32(area_f), rate / np.float32(area_b)
-    keep, nothing = np.float32(1) - rate, np.float32(FORGOTTEN)
-    for i in range(foreground.size):  # what has faded is dropped before it gets denormal, which is slow
-        f = keep * foreground[i] + one_f * np.float32(count_f[i])
-        b = keep * background[i] + one_b * np.float32(count_b[i])
-        foreground[i] = f if f > nothing else np.float32(0)
-        background[i] = b if b > nothing else np.float32(0)
-        count_f[i] = 0
-        count_b[i] = 0
+            number = count_color(row[x], behind, number, counts, shown)
+    for i in range(number):
+        bin_ = shown[i]
+        histogram, count = histograms[bin_], counts[bin_]
+        histogram[0] += one_f * np.float32(np.uint32(count))
+        histogram[1] += one_b * np.float32(np.uint32(count >> 32))
+        lookup[bin_] = likelihood(histogram[0], histogram[1], unseen)
+        counts[bin_] = 0
 
 
 @kernel
-def tabulate(foreground, background, unseen, lookup):  # type: ignore[no-untyped-def]
-    """Equation 6: ``lookup`` ← F / (F + B), and ``unseen`` for bins that neither region has shown."""
+def likelihood(foreground, background, unseen):  # type: ignore[no-untyped-def]
+    """Equation 6: F / (F + B), and ``unseen`` where neither region has shown the colour."""
+    total = foreground + background
+    return foreground / total if total > 0 else unseen
+
+
+@kernel
+def tabulate(histograms, unseen, lookup):  # type: ignore[no-untyped-def]
+    """:func:`likelihood` of every bin of ``histograms`` (bins, 2)."""
     for i in range(lookup.size):
-        total = foreground[i] + background[i]
-        lookup[i] = foreground[i] / total if total > np.float32(SEEN) else unseen
+        lookup[i] = likelihood(histograms[i, 0], histograms[i, 1], unseen)
 
 
 @kernel

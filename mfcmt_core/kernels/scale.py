@@ -1,8 +1,9 @@
 """Samples of the scale filter: one small patch a scale, all scales side by side in SIMD lanes.
 
 Arrays end in the axis of scales, so that every inner loop runs over scales. With m steps to each side, padded
-to M lanes, its order is m smaller ones by distance, m larger ones by distance (each padded to M), the present
-one: scales at the same distance face each other, and even and odd parts are sums and differences of lanes.
+to M lanes, its order is m smaller ones by distance, m larger ones by distance (each padded to M): scales at the
+same distance face each other, and even and odd parts are sums and differences of lanes. The present scale is in
+the padding behind the smaller ones, or where there is none behind all others.
 """
 
 from __future__ import annotations
@@ -22,11 +23,13 @@ def pack_quads(gray, quads):  # type: ignore[no-untyped-def]
     height, width = gray.shape
     for y in range(height):
         top, bottom, out = gray[y], gray[min(y + 1, height - 1)], quads[y]
-        for x in range(width):
-            right = min(x + 1, width - 1)
-            upper = np.uint32(top[x]) | (np.uint32(top[right]) << np.uint32(8))
-            lower = np.uint32(bottom[x]) | (np.uint32(bottom[right]) << np.uint32(8))
+        for x in range(width - 1):
+            upper = np.uint32(top[x]) | (np.uint32(top[x + 1]) << np.uint32(8))
+            lower = np.uint32(bottom[x]) | (np.uint32(bottom[x + 1]) << np.uint32(8))
             out[x] = upper | (lower << np.uint32(16))
+        out[width - 1] = np.uint32(top[width - 1]) * np.uint32(0x101) + np.uint32(bottom[width - 1]) * np.uint32(
+            0x1010000
+        )
 
 
 @kernel
@@ -129,11 +132,11 @@ def scale_norms(histogram, epsilon, norms):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def scale_features(histogram, norms, window, even, odd):  # type: ignore[no-untyped-def]
+def scale_features(histogram, norms, window, present, even, odd):  # type: ignore[no-untyped-def]
     """fHOG of every scale times the window over scales, as even and odd part along scales.
 
-    ``window`` (lanes,) has equal values at equal distances; ``even`` (cells · 31, M + 1) gets the present
-    scale and the sums, ``odd`` (cells · 31, M) the differences larger - smaller.
+    ``window`` (lanes,) has equal values at equal distances; ``even`` (cells · 31, M + 1) gets the scale of lane
+    ``present`` and the sums, ``odd`` (cells · 31, M) the differences larger - smaller.
     """
     cells_y, cells_x, lanes = norms.shape[0] - 1, norms.shape[1] - 1, norms.shape[2]
     half = np.float32(0.5)
@@ -156,27 +159,27 @@ def scale_features(histogram, norms, window, even, odd):  # type: ignore[no-unty
                     t2[s] += vc
                     t3[s] += vd
                     feature[s] = half * window[s] * (va + vb + vc + vd)
-                fold(feature, even[base + o], odd[base + o])
+                fold(feature, present, even[base + o], odd[base + o])
             for o in range(ORIENTATIONS):
                 first, second = cell[o], cell[o + ORIENTATIONS]
                 for s in range(lanes):
                     v = first[s] + second[s]
                     total = min(v * a[s], CLIP) + min(v * b[s], CLIP) + min(v * c[s], CLIP) + min(v * d[s], CLIP)
                     feature[s] = half * window[s] * total
-                fold(feature, even[base + SIGNED + o], odd[base + SIGNED + o])
+                fold(feature, present, even[base + SIGNED + o], odd[base + SIGNED + o])
             for k in range(4):
                 t = texture[k]
                 for s in range(lanes):
                     feature[s] = TEXTURE * window[s] * t[s]
                 channel = base + SIGNED + ORIENTATIONS + k
-                fold(feature, even[channel], odd[channel])
+                fold(feature, present, even[channel], odd[channel])
 
 
 @kernel
-def fold(values, even, odd):  # type: ignore[no-untyped-def]
+def fold(values, present, even, odd):  # type: ignore[no-untyped-def]
     """Present value and sums into ``even`` (M + 1,), differences into ``odd`` (M,)."""
     side = odd.size
-    even[0] = values[2 * side]
+    even[0] = values[present]
     for j in range(side):
         even[1 + j] = values[side + j] + values[j]
         odd[j] = values[side + j] - values[j]
@@ -184,22 +187,24 @@ def fold(values, even, odd):  # type: ignore[no-untyped-def]
 
 @kernel
 def scale_hog(  # type: ignore[no-untyped-def]
-    gray, center_x, center_y, step_x, step_y, count, epsilon, window, quads, samples, histogram, norms, even, odd
+    gray, center_x, center_y, step_x, step_y, present, epsilon, window, quads, samples, histogram, norms, even, odd
 ):
     """From a grey picture to the features of every scale in one call; scratch as its parts want it."""
     pack_quads(gray, quads)
     sample_scales(quads, center_x, center_y, step_x, step_y, samples)
-    scale_histogram(samples, count, histogram)
+    scale_histogram(samples, max(present + 1, 2 * odd.shape[1]), histogram)
     scale_norms(histogram, epsilon, norms)
-    scale_features(histogram, norms, window, even, odd)
+    scale_features(histogram, norms, window, present, even, odd)
 
 
 @kernel
-def respond_scales(spectra, sums, mean, mean_sums, gain, response_f):  # type: ignore[no-untyped-def]
-    """Equation 3 along scales: Σ over features of conj(mean) · spectrum, times ``gain``.
+def respond_scales(  # type: ignore[no-untyped-def]
+    spectra, sums, mean, mean_sums, label_f, energy, regularization, response_f
+):
+    """Equation 3 along scales: Σ over features of conj(mean) · spectrum · label / (energy + λ).
 
     ``spectra`` (features, 2 M) float32 holds M cosine sums and M sine sums of each feature, ``sums`` (features,)
-    frequency 0, and so do the means; ``gain`` (M + 1,) is label / (energy + λ), frequency 0 last.
+    frequency 0, and so do the means; ``label_f`` and ``energy`` (M + 1,) have frequency 0 last.
     ``response_f`` (2 M + 1,): M cosine, M sine sums and frequency 0 of the response.
     """
     side = response_f.size // 2
@@ -211,27 +216,32 @@ def respond_scales(spectra, sums, mean, mean_sums, gain, response_f):  # type: i
             imaginary[k] += a[k] * z[side + k] - a[side + k] * z[k]
         constant += mean_sums[d] * sums[d]
     for k in range(side):
-        response_f[k] = real[k] * gain[k]
-        response_f[side + k] = imaginary[k] * gain[k]
-    response_f[2 * side] = constant * gain[side]
+        gain = label_f[k] / (energy[k] + regularization)
+        response_f[k] = real[k] * gain
+        response_f[side + k] = imaginary[k] * gain
+    response_f[2 * side] = constant * label_f[side] / (energy[side] + regularization)
 
 
 @kernel
-def learn_scales(spectra, sums, rate, mean, mean_sums, energy):  # type: ignore[no-untyped-def]
+def learn_scales(spectra, sums, angles, rate, mean, mean_sums, energy):  # type: ignore[no-untyped-def]
     """Running means of the spectra, as :func:`respond_scales` takes them, and of their energy.
 
-    ``energy`` (M + 1,) is Σ |spectrum|² over features, frequency 0 last.
+    Each frequency is turned by its angle of ``angles`` (M,), which moves the spectra along the scales. ``energy``
+    (M + 1,) is Σ |spectrum|² over features, frequency 0 last.
     """
     side = energy.size - 1
     keep = np.float32(1) - rate
-    squares, constant = np.zeros(2 * side, np.float32), np.float32(0)
+    cosines, sines = np.cos(angles), np.sin(angles)
+    squares, constant = np.zeros(side, np.float32), np.float32(0)
     for d in range(spectra.shape[0]):
         z, a = spectra[d], mean[d]
-        for k in range(2 * side):
-            squares[k] += z[k] * z[k]
-            a[k] = keep * a[k] + rate * z[k]
+        for k in range(side):
+            real, imaginary, c, s = z[k], z[side + k], cosines[k], sines[k]
+            squares[k] += real * real + imaginary * imaginary
+            a[k] = keep * a[k] + rate * (real * c + imaginary * s)
+            a[side + k] = keep * a[side + k] + rate * (imaginary * c - real * s)
         constant += sums[d] * sums[d]
         mean_sums[d] = keep * mean_sums[d] + rate * sums[d]
     for k in range(side):
-        energy[k] = keep * energy[k] + rate * (squares[k] + squares[side + k])
+        energy[k] = keep * energy[k] + rate * squares[k]
     energy[side] = keep * energy[side] + rate * constant

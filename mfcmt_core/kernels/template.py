@@ -12,7 +12,7 @@ from ._jit import kernel
 
 @kernel
 def respond_filters(filters, spectra, blocks, response_f):  # type: ignore[no-untyped-def]
-    """Equation 3: ``response_f[m]`` ← Σ conj(filter) · spectrum over the channels of block m.
+    """The sum of equation 3: ``response_f[m]`` ← Σ conj(filter) · spectrum over the channels of block m.
 
     ``blocks`` (models, 2) int64 holds each model's first and one past its last channel.
     """
@@ -37,6 +37,27 @@ def energy(spectra, block, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def turn(spectra, dx, dy):  # type: ignore[no-untyped-def]
+    """Move what ``spectra`` show by (-dx, -dy) cells, in place: the shift theorem."""
+    channels, n, half = spectra.shape
+    unit = 2 * np.pi / n
+    columns = np.empty(half, np.complex64)
+    for k in range(half):
+        columns[k] = np.complex64(complex(np.cos(unit * dx * k), np.sin(unit * dx * k)))
+    phase = np.empty((n, half), np.complex64)
+    for i in range(n):
+        angle = unit * dy * (i if 2 * i < n else i - n)
+        row = np.complex64(complex(np.cos(angle), np.sin(angle)))
+        for k in range(half):
+            phase[i, k] = row * columns[k]
+    factor = phase.ravel()
+    for channel in range(channels):
+        z = spectra[channel].ravel()
+        for k in range(factor.size):
+            z[k] *= factor[k]
+
+
+@kernel
 def learn_filters(spectra, label_f, blocks, regularization, rate, energies, filters):  # type: ignore[no-untyped-def]
     """Equations 2 and 11 to the letter: filters of this frame alone, averaged into ``filters``.
 
@@ -56,23 +77,18 @@ def learn_filters(spectra, label_f, blocks, regularization, rate, energies, filt
 
 
 @kernel
-def learn_spectra(  # type: ignore[no-untyped-def]
-    spectra, label_f, blocks, regularization, rate, energies, mean, denominator, filters
-):
-    """Equation 11 on numerator and denominator of equation 2, then the division: ``filters``.
+def learn_spectra(spectra, blocks, rate, mean, denominator):  # type: ignore[no-untyped-def]
+    """Equation 11 on numerator and denominator of equation 2, the numerator without the label.
 
-    The label is the same in every frame, so the numerator's mean is the label times the ``mean`` of spectra.
+    That is the same in every frame, so the numerator's mean is the label times the ``mean`` of spectra.
     """
     keep = np.float32(1) - rate
-    label = label_f.ravel()
-    gain = np.empty(label.size, np.complex64)
     for m in range(blocks.shape[0]):
-        total, new = denominator[m].ravel(), energies[m].ravel()
-        for k in range(label.size):
-            total[k] = keep * total[k] + rate * new[k]
-            gain[k] = np.conj(label[k]) * (np.float32(1) / (total[k] + regularization))
+        total = denominator[m].ravel()
+        for k in range(total.size):
+            total[k] *= keep
         for channel in range(blocks[m, 0], blocks[m, 1]):
-            w, a, z = filters[channel].ravel(), mean[channel].ravel(), spectra[channel].ravel()
-            for k in range(label.size):
+            a, z = mean[channel].ravel(), spectra[channel].ravel()
+            for k in range(total.size):
                 a[k] = keep * a[k] + rate * z[k]
-                w[k] = gain[k] * a[k]
+                total[k] += rate * (z[k].real * z[k].real + z[k].imag * z[k].imag)

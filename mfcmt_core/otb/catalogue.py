@@ -52,11 +52,21 @@ CHOICES: dict[str, dict[str, Any]] = {
     "equal-weights": {"statistical_weight": 1.0},
     "raw-fhog": {"hog_epsilon": 1e-4},
     "never-lost": {"lost_after": 0},
+    "always-anew": {"learn_within": 0.0},
+    "all-scales": {"scale_samples": 33},
+    "small-scale-samples": {"scale_max_area": 512.0},
 }
 """``default-<choice>``: a choice in which default() differs from paper(), taken back alone. Filters themselves can
 be averaged only without the background-aware one: ``average-filter`` compares with ``one-filter``."""
 
-_AS_PUBLISHED: dict[str, Any] = {**ALWAYS_UPDATE, "background_interval": 0, "doubt_threshold": 0.0}
+_AS_PUBLISHED: dict[str, Any] = {
+    **ALWAYS_UPDATE,
+    "background_interval": 0,
+    "doubt_threshold": 0.0,
+    "learn_within": 0.0,
+    "scale_samples": 33,
+    "scale_max_area": 512.0,
+}
 
 _TEMPLATE_ONLY: dict[str, Any] = {
     **_AS_PUBLISHED,

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from mfcmt_core import MFCMTConfig, TrackResult
+from mfcmt_core.template import TemplateModel
 
 PRESETS = {"default": MFCMTConfig.default(), "paper": MFCMTConfig.paper()}
 
@@ -33,6 +34,11 @@ def assert_sane(result: TrackResult, frame_size: tuple[int, int]) -> None:
     assert not result.reliable or (result.flags.fused and result.flags.template and result.flags.statistical)
     assert (result.status == "tracking") == result.reliable
     assert all(type(v) is float for v in (*result.box, result.scale, result.psr))
+
+
+def filters_of(model: TemplateModel) -> np.ndarray:
+    """W of equation 2, (channels, n, n // 2 + 1)."""
+    return np.concatenate([model.mean[a:b] * np.conj(g) for (a, b), g in zip(model.blocks, model.gain, strict=True)])
 
 
 def boxes_of(results: Iterable[TrackResult]) -> np.ndarray:

@@ -99,17 +99,12 @@ def count_colors(bins, inner, outer, size):
     top, left, bottom, right = outer
     outside[top:bottom, left:right] = False
     background = np.bincount(bins[outside], minlength=size).astype(float)
-    return foreground / max(foreground.sum(), 1), background / max(background.sum(), 1)
+    return foreground, background
 
 
-def learn_colors(bins, inner, outer, rate, foreground, background):
-    new_f, new_b = count_colors(bins, inner, outer, len(foreground))
-    return (1 - rate) * foreground + rate * new_f, (1 - rate) * background + rate * new_b
-
-
-def tabulate(foreground, background, unseen):
-    f, b = foreground.astype(float), background.astype(float)
-    return np.divide(f, f + b, out=np.full(f.shape, float(unseen)), where=f + b > 1e-12)
+def tabulate(histograms, unseen):
+    f, b = histograms.astype(float).T
+    return np.divide(f, f + b, out=np.full(f.shape, float(unseen)), where=f + b > 0)
 
 
 def integral(bins, lookup):
@@ -131,6 +126,13 @@ def energy(spectra, block):
     return (np.abs(spectra[block[0] : block[1]]) ** 2).sum(0)
 
 
+def turn(spectra, dx, dy):
+    """The shift theorem, frequencies written out."""
+    n = spectra.shape[1]
+    rows, columns = np.fft.fftfreq(n)[:, None], np.arange(spectra.shape[2]) / n
+    return spectra * np.exp(2j * np.pi * (columns * dx + rows * dy))
+
+
 def learn_filters(spectra, label_f, blocks, regularization, rate, filters):
     new = np.empty_like(filters)
     for a, b in blocks:
@@ -138,14 +140,9 @@ def learn_filters(spectra, label_f, blocks, regularization, rate, filters):
     return (1 - rate) * filters + rate * new
 
 
-def learn_spectra(spectra, label_f, blocks, regularization, rate, mean, denominator):
-    mean = (1 - rate) * mean + rate * spectra
-    numerator = np.conj(label_f) * mean
-    denominator = (1 - rate) * denominator + rate * np.stack([energy(spectra, block) for block in blocks])
-    filters = np.concatenate(
-        [numerator[a:b] / (d + regularization) for (a, b), d in zip(blocks, denominator, strict=True)]
-    )
-    return mean, denominator, filters
+def learn_spectra(spectra, blocks, rate, mean, denominator):
+    energies = np.stack([energy(spectra, block) for block in blocks])
+    return (1 - rate) * mean + rate * spectra, (1 - rate) * denominator + rate * energies
 
 
 def solve_background(mean, label, power, before, penalty, filters, unmasked):
@@ -235,10 +232,10 @@ def scale_features(histogram, epsilon, window):
     return np.stack([np.moveaxis(c, 0, -1).ravel() for c in columns], axis=1)
 
 
-def fold(values, side):
-    """Of smaller, larger and present scales: the present one and the sums, and the differences."""
-    smaller, larger, present = values[..., :side], values[..., side : 2 * side], values[..., 2 * side, None]
-    return np.concatenate([present, larger + smaller], axis=-1), larger - smaller
+def fold(values, side, present):
+    """Of smaller and larger scales and the present one: that and the sums, and the differences."""
+    smaller, larger, same = values[..., :side], values[..., side : 2 * side], values[..., present, None]
+    return np.concatenate([same, larger + smaller], axis=-1), larger - smaller
 
 
 def complex_scales(waves, sums):
@@ -247,9 +244,11 @@ def complex_scales(waves, sums):
     return np.concatenate([sums[:, None], waves[:, :side] - 1j * waves[:, side:]], axis=1)
 
 
-def respond_scales(spectra, mean):
-    return (np.conj(mean) * spectra).sum(0)
+def respond_scales(spectra, mean, label_f, energy, regularization):
+    return (np.conj(mean) * spectra).sum(0) * label_f / (energy + regularization)
 
 
-def learn_scales(spectra, rate, mean, energy):
+def learn_scales(spectra, angles, rate, mean, energy):
+    """``angles`` (M,) by which the frequencies above 0 are turned."""
+    spectra = spectra * np.exp(1j * np.append(0, angles))
     return (1 - rate) * mean + rate * spectra, (1 - rate) * energy + rate * (np.abs(spectra) ** 2).sum(0)

@@ -9,6 +9,7 @@ from mfcmt_core import background
 from mfcmt_core.background import BackgroundAwareFilter
 from mfcmt_core.geometry import SearchWindow
 
+from .helpers import filters_of
 from .test_template import CONFIG, N, correlation_matrix, label_of, model, noise, spectra_of
 
 PENALTY = CONFIG.regularization * N * N
@@ -59,16 +60,60 @@ def test_the_iterations_go_to_the_constrained_optimum(smooth, monkeypatch):
     losses = []
     for count in (2, 20, 200):
         monkeypatch.setattr(background, "PENALTIES", (10.0,) * count)
-        m.background.train(m.mean)
+        m.background.train(m.mean, first=True)
         losses.append(loss(np.fft.irfft2(m.background.filters, s=(N, N)).ravel()))
     assert losses[0] > losses[1] > losses[2] > loss(best) * (1 - 1e-4)
     assert losses[2] == pytest.approx(loss(best), rel=0.02)
 
 
+def test_a_later_training_goes_on_where_the_last_has_ended(smooth, monkeypatch):
+    """One iteration each: n of them after the first training are what n more at once are."""
+    m, w = learned(smooth)
+    best, loss = dense(m, smooth)
+    losses = [loss(w.ravel())]
+    for count in (1, 20, 180):
+        for _ in range(count):
+            m.background.train(m.mean)
+        losses.append(loss(np.fft.irfft2(m.background.filters, s=(N, N)).ravel()))
+    assert losses == sorted(losses, reverse=True)
+    assert losses[-1] == pytest.approx(loss(best), rel=0.02)
+    again, _ = learned(smooth)
+    monkeypatch.setattr(background, "PENALTIES", background.PENALTIES + (background.PENALTIES[-1],) * 201)
+    again.background.train(m.mean, first=True)
+    np.testing.assert_allclose(again.background.filters, m.background.filters, atol=1e-4)
+
+
+def test_a_first_training_forgets_what_was(smooth):
+    m, _ = learned(smooth)
+    expected = m.background.filters.copy(), m.background.unmasked.copy()
+    m.background.train(spectra_of(noise(1, 42)))
+    m.background.train(m.mean, first=True)
+    assert np.array_equal(m.background.filters, expected[0])
+    assert np.array_equal(m.background.unmasked, expected[1])
+
+
+def test_from_filters_alone_training_goes_on_without_a_multiplier(smooth):
+    """Where only the filters are known the next iteration starts from them, and the optimum is the same."""
+    m, w = learned(smooth)
+    best, loss = dense(m, smooth)
+    filters = m.background.filters.copy()
+    m.background.unmasked[:] = np.nan
+    m.background.resume()
+    assert np.array_equal(m.background.filters, filters)
+    # the multiplier is what the unmasked filters are more than the penalty times the masked ones
+    np.testing.assert_allclose(m.background.unmasked, background.PENALTIES[-1] * filters, rtol=1e-6)
+    m.background.train(m.mean)
+    resumed = loss(np.fft.irfft2(m.background.filters, s=(N, N)).ravel())
+    assert resumed < loss(w.ravel())
+    for _ in range(200):
+        m.background.train(m.mean)
+    assert loss(np.fft.irfft2(m.background.filters, s=(N, N)).ravel()) == pytest.approx(loss(best), rel=0.02)
+
+
 def test_two_iterations_beat_a_ridge_filter_cut_to_the_box(smooth):
     m, w = learned(smooth)
     _, loss = dense(m, smooth)
-    cut = np.fft.irfft2(m.filters, s=(N, N)) * box_of(m)
+    cut = np.fft.irfft2(filters_of(m), s=(N, N)) * box_of(m)
     assert loss(w.ravel()) < loss(cut.ravel())
 
 
@@ -95,6 +140,6 @@ def test_boxes_of_any_size_have_a_filter(target, smooth):
     window.target = target
     label = spectra_of(np.eye(1, N * N).reshape(1, N, N))[0]
     trained = BackgroundAwareFilter(window, 42, label, CONFIG.regularization)
-    trained.train(spectra_of(smooth))
+    trained.train(spectra_of(smooth), first=True)
     assert np.isfinite(trained.filters).all()
     assert np.abs(trained.filters).max() > 0

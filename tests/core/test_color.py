@@ -34,6 +34,16 @@ def regions(m: ColorModel, side):
     return inner, outer
 
 
+def area(rectangle):
+    top, left, bottom, right = rectangle
+    return (bottom - top) * (right - left)
+
+
+def histograms(m: ColorModel):
+    """Foreground and background, (bins, 2), each of sum 1."""
+    return m.histograms / m.gain
+
+
 def test_equation_6_is_the_regression_of_equation_5():
     """v minimises the mean of (v·x - 1)² over F plus the mean of (v·x)² over B, x one-hot; unseen stays 0."""
     m = model()
@@ -80,9 +90,9 @@ def test_regions_are_the_inner_85_percent_and_all_outside_the_target():
     patch[m.inner[0] : m.inner[2], m.inner[1] : m.inner[3]] = (200, 100, 0)
     m.learn(m.bins(patch), first=True)
     ring = m.bins(np.full((1, 1, 3), (1, 2, 3), np.uint8))[0, 0]
-    assert m.foreground[ring] == m.background[ring] == m.lookup[ring] == 0
-    assert m.foreground.sum() == pytest.approx(1, abs=1e-4)
-    assert m.background.sum() == pytest.approx(1, abs=1e-3)
+    assert m.histograms[ring].tolist() == [0, 0]
+    assert m.lookup[ring] == 0
+    np.testing.assert_allclose(histograms(m).sum(0), 1, atol=1e-3)
 
 
 @pytest.mark.parametrize("unseen", [0.0, 0.5])
@@ -128,11 +138,73 @@ def test_the_target_s_colours_are_found_where_they_moved_to(shift):
 def test_equation_11_on_histograms():
     m, other = model(histogram_learning_rate=0.25), model()
     m.learn(m.bins(few_colors(0)), first=True)
-    before = m.foreground.copy(), m.background.copy()
+    before = histograms(m)
     other.learn(other.bins(few_colors(9)), first=True)
     m.learn(m.bins(few_colors(9)))
-    np.testing.assert_allclose(m.foreground, 0.75 * before[0] + 0.25 * other.foreground, atol=1e-6)
-    np.testing.assert_allclose(m.background, 0.75 * before[1] + 0.25 * other.background, atol=1e-6)
+    np.testing.assert_allclose(histograms(m), 0.75 * before + 0.25 * histograms(other), atol=1e-6)
+    f, b = histograms(m).T
+    expected = np.divide(f, f + b, out=np.zeros_like(f), where=f + b > 0)
+    np.testing.assert_allclose(m.lookup, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("offset", [(1.0, -1.0), (0.4, 0.1), (-6.0, 8.0), (9.0, 0.0)])
+def test_the_regions_move_with_the_target(offset):
+    """By whole pixels, and what would lie beyond the patch is cut off; the areas they are divided by stay."""
+    m = model()
+    patch = few_colors(4)
+    bins = m.bins(patch)
+    m.learn(bins, offset, first=True)
+    dx, dy = (round(4 * v) for v in offset)
+    side = len(patch)
+    y, x = np.indices(bins.shape) - np.array([dy, dx])[:, None, None]
+
+    def inside(rectangle):
+        top, left, bottom, right = rectangle
+        return (y >= top) & (y < bottom) & (x >= left) & (x < right)
+
+    counts = [np.bincount(bins[where], minlength=32**3) for where in (inside(m.inner), ~inside(m.outer))]
+    pixels = [area(m.inner), side * side - area(m.outer)]
+    expected = np.stack([count / number for count, number in zip(counts, pixels, strict=True)], 1)
+    np.testing.assert_allclose(histograms(m), expected, atol=1e-6)
+    sums = histograms(m).sum(0)
+    fits = all(a + d >= 0 and b + d <= side for a, b, d in ((m.outer[1], m.outer[3], dx), (m.outer[0], m.outer[2], dy)))
+    assert (sums == pytest.approx([1, 1], abs=1e-3)) == fits
+
+
+@pytest.mark.parametrize("offset", [(2.0, -1.0), (-1.0, 3.0)])
+def test_colours_learned_off_the_middle_are_those_of_a_target_there(offset):
+    """A patch rolled back to the middle has the same target; the ground is one colour."""
+    m, other = model(), model()
+    patch = np.full((100, 100, 3), (40, 90, 40), np.uint8)
+    patch[m.outer[0] : m.outer[2], m.outer[1] : m.outer[3]] = few_colors(2)[: m.box[1], : m.box[0]]
+    other.learn(other.bins(patch), first=True)
+    moved = np.roll(patch, [round(4 * v) for v in offset[::-1]], (0, 1))
+    m.learn(m.bins(moved), offset, first=True)
+    np.testing.assert_allclose(m.histograms, other.histograms, atol=1e-6)
+    np.testing.assert_allclose(m.lookup, other.lookup, atol=1e-6)
+
+
+def test_histograms_are_scaled_back_before_they_overflow():
+    """Where the look-up of what is still seen does not change, and what was seen long ago is forgotten."""
+    m = model()
+    m.learn(m.bins(few_colors(0)), first=True)
+    old, new = m.bins(few_colors(0)), m.bins(few_colors(1))
+    gains = [float(m.gain[0])]
+    while gains[-1] >= gains[-2:][0]:
+        before = m.lookup.copy()
+        m.learn(new)
+        gains.append(float(m.gain[0]))
+        assert gains[-1] <= 1e9
+    assert gains[-1] == 1
+    assert len(gains) > 400
+    np.testing.assert_allclose(m.lookup[np.unique(new)], before[np.unique(new)], rtol=1e-5)
+    for _ in range(250):
+        m.learn(new)
+    while m.gain[0] != 1:
+        m.learn(new)
+    gone = np.setdiff1d(old, new)
+    assert not m.histograms[gone].any()
+    assert not m.lookup[gone].any()
 
 
 def test_refresh_gives_the_same_table_bit_for_bit():
@@ -140,12 +212,11 @@ def test_refresh_gives_the_same_table_bit_for_bit():
     m = model()
     for seed in range(5):
         m.learn(m.bins(few_colors(seed)), first=seed == 0)
-    f, b, lookup = m.foreground.copy(), m.background.copy(), m.lookup.copy()
+    kept, lookup = m.histograms.copy(), m.lookup.copy()
     m.lookup[:] = -1
     m.refresh()
     assert np.array_equal(m.lookup, lookup)
-    assert np.array_equal(m.foreground, f)
-    assert np.array_equal(m.background, b)
+    assert np.array_equal(m.histograms, kept)
 
 
 def test_grey_has_one_axis_of_bins():

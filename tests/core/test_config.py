@@ -26,6 +26,19 @@ def test_paper_preset_says_what_the_paper_says():
     assert c.usual_threshold == 0
     assert (c.num_scales, c.scale_step) == (33, 1.02)
     assert c.scale_when_reliable
+    # every model learns a window of its own, every scale is sampled, as DSST has it
+    assert (c.learn_within, c.scale_samples, c.scale_max_area) == (0, 33, 512)
+
+
+def test_default_preset_shares_windows_and_interpolates_scales():
+    c = MFCMTConfig.default()
+    assert (c.learn_within, c.num_scales, c.scale_samples, c.scale_max_area) == (1, 33, 15, 1024)
+
+
+@pytest.mark.parametrize(("num_scales", "scale_samples"), [(1, 3), (3, 101), (33, 33), (33, 15), (101, 3)])
+def test_samples_may_be_more_or_less_than_scales(num_scales, scale_samples):
+    config = MFCMTConfig.default().replace(num_scales=num_scales, scale_samples=scale_samples, scale_step=1.01)
+    assert (config.num_scales, config.scale_samples) == (num_scales, scale_samples)
 
 
 @pytest.mark.parametrize("name", ["default", "paper"])
@@ -70,6 +83,16 @@ BAD = [
     ("num_scales", 32),
     ("num_scales", 0),
     ("num_scales", -1),
+    ("scale_samples", 14),
+    ("scale_samples", 1),
+    ("scale_samples", -15),
+    ("scale_samples", 103),
+    ("scale_samples", 15.0),
+    ("learn_within", -0.1),
+    ("learn_within", 10.5),
+    ("learn_within", float("nan")),
+    ("learn_within", "1"),
+    ("learn_within", None),
     ("scale_step", 1.0),
     ("scale_step", 1.5),  # 1.5 to the 16th
     ("lost_after", -1),

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from mfcmt_core import BadBox, BadImage, MFCMTConfig, RegionTooSmall
 from mfcmt_core.geometry import Frame, SearchWindow, check_box, clip_rect, grow_rect
+from mfcmt_core.target import Cut, Observation
 
 CONFIG = MFCMTConfig.default()
 SIDE = st.floats(1e-3, 2000)
@@ -122,6 +123,12 @@ def test_a_cut_lies_in_its_frame(offset):
 # --- the search window ---
 
 
+def middle_of(patch):
+    """What is seen in the middle of ``patch`` by a target without models."""
+    nothing = np.empty(0, np.uint8)
+    return Observation(Cut(patch, 1.0, nothing, nothing, nothing), (0, 0), nothing, nothing)
+
+
 @pytest.mark.parametrize("base", [(40.0, 30.0), (30.0, 81.0), (8.0, 8.0), (1000.0, 640.0), (4.0, 400.0)])
 @pytest.mark.parametrize("factor", [1.5, 2.0, 2.5])
 def test_windows(base, factor):
@@ -157,28 +164,54 @@ def test_paper_s_window_is_twice_the_target_at_150():
     st.floats(0.2, 5),
     st.integers(-12, 12),
     st.integers(-12, 12),
+    st.sampled_from([0.0, 1.0]),
 )
-def test_displacements_count_from_the_middle_of_the_whole_pixel_cut(x, y, w, h, scale, dx, dy):
-    search = SearchWindow(CONFIG, (w, h))
+def test_displacements_count_from_the_middle_of_the_whole_pixel_cut(x, y, w, h, scale, dx, dy, learn_within):
+    search = SearchWindow(CONFIG.replace(learn_within=learn_within), (w, h))
     image = np.zeros((480, 640), np.uint8)
     patch = search.crop(Frame.of(image), (0, 0, 640, 480), (x, y), scale)
-    rx, ry, rw, rh = search.rect((x, y), scale)
-    assert abs(rw - search.extent[0] * scale) <= max(0.5, 2 - search.extent[0] * scale)
+    side, exact = len(patch.pixels), search.extent[0] * scale * len(patch.pixels) / search.patch_size
+    assert side == search.patch_size + 2 * search.margin
+    rx, ry, rw, rh = patch.rect
+    assert patch.rect == search.rect((x, y), scale, side / search.patch_size)
+    assert abs(rw - exact) <= max(0.5, 2 - exact) + 1e-9
     assert patch.center == (rx + rw / 2, ry + rh / 2)
     assert abs(patch.center[0] - x) <= 0.5 + 1e-9
     assert abs(patch.center[1] - y) <= 0.5 + 1e-9
-    place = search.displaced(patch, (dx, dy))
-    # a cell is four pixels of the patch, which are (rw, rh) / patch_size pixels of the frame each
-    assert place[0] - patch.center[0] == pytest.approx(4 * dx * rw / search.patch_size)
-    assert place[1] - patch.center[1] == pytest.approx(4 * dy * rh / search.patch_size)
+    place = middle_of(patch).displaced((dx, dy))
+    # a cell is four pixels of the patch, which are (rw, rh) / (patch_size + 2·margin) pixels of the frame each
+    assert place[0] - patch.center[0] == pytest.approx(4 * dx * rw / side)
+    assert place[1] - patch.center[1] == pytest.approx(4 * dy * rh / side)
 
 
 def test_displacement_of_a_real_shift():
     """A patch that shows the image moved by whole cells leads back to the place."""
-    search = SearchWindow(CONFIG, (40.0, 40.0))  # window of 100×100: a patch pixel is an image pixel
+    search = SearchWindow(CONFIG, (40.0, 40.0))  # window of 100×100 and 12 around: a patch pixel is an image pixel
     image = np.random.default_rng(3).integers(0, 256, (300, 300), np.uint8)
     frame, within = Frame.of(image), (0, 0, 300, 300)
     here = search.crop(frame, within, (150.0, 150.0), 1.0)
     there = search.crop(frame, within, (158.0, 146.0), 1.0)
-    assert np.array_equal(here.pixels[:90, 10:], there.pixels[4:94, 2:92])
-    assert search.displaced(here, (2, -1)) == there.center
+    assert here.pixels.shape == (124, 124)
+    assert np.array_equal(here.pixels[:114, 10:], there.pixels[4:118, 2:116])
+    assert middle_of(here).displaced((2, -1)) == there.center
+
+
+@pytest.mark.parametrize("patch_size", [32, 100, 150])
+def test_there_is_a_margin_where_windows_near_by_are_learned(patch_size):
+    """An eighth of the patch on each side, at the same scale: its middle is the patch without one."""
+    config = CONFIG.replace(patch_size=patch_size)
+    with_margin, without = (SearchWindow(config.replace(learn_within=cells), (40.0, 40.0)) for cells in (1.0, 0.0))
+    assert with_margin.margin == patch_size // 8
+    assert without.margin == 0
+    assert with_margin.rect((50.0, 50.0), 1.0) == without.rect((50.0, 50.0), 1.0)
+    image = np.random.default_rng(4).integers(0, 256, (400, 400, 3), np.uint8)
+    scale = patch_size / 100  # a patch pixel is an image pixel
+    wide, plain = (w.crop(Frame.of(image), (0, 0, 400, 400), (200.0, 200.0), scale) for w in (with_margin, without))
+    assert wide.step == plain.step == (1, 1)
+    assert wide.center == plain.center
+    inner = slice(with_margin.margin, with_margin.margin + patch_size)
+    assert np.array_equal(wide.pixels[inner, inner], plain.pixels)
+
+
+def test_paper_s_window_has_no_margin():
+    assert SearchWindow(MFCMTConfig.paper(), (40.0, 90.0)).margin == 0

@@ -130,33 +130,37 @@ def test_bins(picture, gray):
 @pytest.mark.parametrize("rate", [0.0, 0.04, 1.0])
 def test_learn_colors(picture, inner, outer, rate):
     bins = reference.bin_pixels(patch_of(picture, 100, 100)).astype(np.uint16)
-    f, b = (np.random.default_rng(1).random((2, 32**3)) / 1000).astype(np.float32)
-    expected = reference.learn_colors(bins, inner, outer, rate, f, b)
-    counts = np.zeros((2, 32**3), np.int32)
-    color.learn_colors(bins, inner, outer, np.float32(rate), counts, f, b)
+    histograms = (np.random.default_rng(1).random((32**3, 2)) / 1000).astype(np.float32)
+    before, lookup = histograms.copy(), np.full(32**3, -1, np.float32)
+    added = reference.count_colors(bins, inner, outer, 32**3)
+    ones = [np.float32(rate / max(count.sum(), 1)) for count in added]
+    counts, shown = np.zeros(32**3, np.int64), np.empty(100 * 100, np.uint16)
+    color.learn_colors(bins, inner, outer, *ones, np.float32(0), shown, counts, histograms, lookup)
     assert not counts.any()
-    for actual, wanted in zip((f, b), expected, strict=True):
-        close(actual, wanted)
+    close(histograms, before + np.stack(added, 1) * ones)
+    seen = np.flatnonzero(sum(added))
+    close(lookup[seen], reference.tabulate(histograms[seen], 0))
+    assert (np.delete(lookup, seen) == -1).all()
 
 
-def test_colours_fade_to_nothing():
-    """Not to denormal numbers, which are slow."""
-    bins = np.zeros((4, 4), np.uint16)
-    f, b = np.full((2, 32), 1e-3, np.float32)
-    for _ in range(1100):
-        color.learn_colors(bins, (1, 1, 3, 3), (1, 1, 3, 3), np.float32(0.04), np.zeros((2, 32), np.int32), f, b)
-    assert f[0] == pytest.approx(1, abs=1e-5)
-    assert not f[1:].any()
+def test_count_color():
+    """The first of a colour puts it on the list."""
+    counts, shown = np.zeros(5, np.int64), np.empty(4, np.uint16)
+    number = np.uint64(0)
+    for bin_ in (3, 1, 3, 3):
+        number = alone(color.count_color)(bin_, 1, number, counts, shown)
+    assert counts.tolist() == [0, 1, 0, 3, 0]
+    assert shown[:number].tolist() == [3, 1]
 
 
 @pytest.mark.parametrize("unseen", [0.0, 0.5])
 def test_tabulate(unseen):
-    f, b = (np.random.default_rng(1).random((2, 1000)) * (np.random.default_rng(2).random((2, 1000)) > 0.6)).astype(
-        np.float32
-    )
+    rng = np.random.default_rng(1)
+    histograms = (rng.random((1000, 2)) * (rng.random((1000, 2)) > 0.6)).astype(np.float32)
     lookup = np.empty(1000, np.float32)
-    color.tabulate(f, b, np.float32(unseen), lookup)
-    close(lookup, reference.tabulate(f, b, unseen))
+    color.tabulate(histograms, np.float32(unseen), lookup)
+    close(lookup, reference.tabulate(histograms, unseen))
+    assert alone(color.likelihood)(np.float32(0), np.float32(0), np.float32(unseen)) == np.float32(unseen)
 
 
 def test_look_up_and_box_means(picture):

@@ -11,7 +11,9 @@ from . import reference
 from .twins import close, patch_of
 
 LANES = 24
-"""Eight smaller scales, eight larger ones, the present one, padding."""
+"""Eight smaller scales, eight larger ones, padding."""
+PRESENT = [16, 7]
+"""The lane of the present scale: behind all others, or in the padding of seven smaller ones."""
 
 
 def quads_of(gray):
@@ -54,23 +56,32 @@ def test_scale_histogram(samples):
     assert not cells_[..., 17:].any()
 
 
-@pytest.mark.parametrize("epsilon", [1e-2, 10.0])
-def test_scale_features(samples, epsilon):
-    histogram = histogram_of(samples, 17)
+def window_of(present):
+    """Weights of the scales, those of the padding 0; what faces the present one is padding, too."""
     window = np.zeros(LANES, np.float32)
     window[:8] = window[8:16] = np.linspace(1, 0.1, 8)
-    window[16] = 1
+    window[8 + present :] = 0
+    window[present] = 1
+    return window
+
+
+@pytest.mark.parametrize("present", PRESENT)
+@pytest.mark.parametrize("epsilon", [1e-2, 10.0])
+def test_scale_features(samples, epsilon, present):
+    histogram = histogram_of(samples, 17)
+    window = window_of(present)
     norms = np.full((7, 5, LANES), np.nan, np.float32)
     even, odd = np.full((6 * 4 * 31, 9), np.nan, np.float32), np.full((6 * 4 * 31, 8), np.nan, np.float32)
     scale.scale_norms(histogram, np.float32(epsilon), norms)
-    scale.scale_features(histogram, norms, window, even, odd)
+    scale.scale_features(histogram, norms, window, present, even, odd)
     cells_ = np.moveaxis(histogram[:-1].reshape(6, 4, 18, LANES), 1, 2)
-    expected = reference.fold(reference.scale_features(cells_, epsilon, window), 8)
+    expected = reference.fold(reference.scale_features(cells_, epsilon, window), 8, present)
     np.testing.assert_allclose(even, expected[0], atol=1e-3)
     np.testing.assert_allclose(odd, expected[1], atol=1e-3)
 
 
-def test_scale_hog(gray):
+@pytest.mark.parametrize("present", PRESENT)
+def test_scale_hog(gray, present):
     """The parts in one call."""
     cut = patch_of(gray, 60, 80)
     step = np.linspace(0.8, 3.2, LANES, dtype=np.float32)
@@ -78,35 +89,52 @@ def test_scale_hog(gray):
     samples, histogram = np.empty((24, 16, LANES), np.float32), np.empty((25, 18, LANES), np.float32)
     quads, norms = np.empty((60, 80), np.uint32), np.empty((7, 5, LANES), np.float32)
     even, odd = np.empty((24 * 31, 9), np.float32), np.empty((24 * 31, 8), np.float32)
-    scale.scale_hog(cut, *center, step, step, 17, epsilon, window, quads, samples, histogram, norms, even, odd)
+    scale.scale_hog(cut, *center, step, step, present, epsilon, window, quads, samples, histogram, norms, even, odd)
     assert np.array_equal(quads, quads_of(cut))
     np.testing.assert_allclose(samples, reference.sample_scales(cut, 39.3, 31.7, step, step, (24, 16)), atol=0.02)
-    assert np.array_equal(histogram, histogram_of(samples, 17))
+    assert np.array_equal(histogram, histogram_of(samples, max(present + 1, 16)))
     expected_even, expected_odd = np.empty_like(even), np.empty_like(odd)
-    scale.scale_features(histogram, norms, window, expected_even, expected_odd)
+    scale.scale_features(histogram, norms, window, present, expected_even, expected_odd)
     np.testing.assert_allclose(even, expected_even, atol=1e-5)
     np.testing.assert_allclose(odd, expected_odd, atol=1e-5)
 
 
-def test_fold():
+@pytest.mark.parametrize("present", PRESENT)
+def test_fold(present):
     values = np.random.default_rng(11).random(LANES).astype(np.float32)
     even, odd = np.empty(9, np.float32), np.empty(8, np.float32)
-    scale.fold(values, even, odd)
-    for actual, expected in zip((even, odd), reference.fold(values, 8), strict=True):
+    scale.fold(values, present, even, odd)
+    for actual, expected in zip((even, odd), reference.fold(values, 8, present), strict=True):
         close(actual, expected)
 
 
-def test_scale_filter():
+@pytest.fixture
+def filter_and_spectra():
+    """Waves and sums of spectra and of a mean, (50, 16) and (50,) each."""
     rng = np.random.default_rng(10)
     waves, mean = rng.standard_normal((2, 50, 16)).astype(np.float32)
     sums, mean_sums = rng.standard_normal((2, 50)).astype(np.float32)
-    gain, energy = rng.random((2, 9)).astype(np.float32)
-    complex_, complex_mean = reference.complex_scales(waves, sums), reference.complex_scales(mean, mean_sums)
+    return waves, sums, mean, mean_sums
+
+
+def test_respond_scales(filter_and_spectra):
+    waves, sums, mean, mean_sums = filter_and_spectra
+    label_f, energy = np.random.default_rng(11).random((2, 9)).astype(np.float32)
     response_f = np.empty(17, np.float32)
-    scale.respond_scales(waves, sums, mean, mean_sums, gain, response_f)
-    expected = reference.respond_scales(complex_, complex_mean) * np.roll(gain, 1)
+    scale.respond_scales(waves, sums, mean, mean_sums, label_f, energy, np.float32(0.3), response_f)
+    complex_, complex_mean = reference.complex_scales(waves, sums), reference.complex_scales(mean, mean_sums)
+    expected = reference.respond_scales(complex_, complex_mean, np.roll(label_f, 1), np.roll(energy, 1), 0.3)
     close(reference.complex_scales(response_f[None, :16], response_f[16:])[0], expected, 1e-4)
-    expected_mean, expected_energy = reference.learn_scales(complex_, 0.025, complex_mean, np.roll(energy, 1))
-    scale.learn_scales(waves, sums, np.float32(0.025), mean, mean_sums, energy)
-    close(reference.complex_scales(mean, mean_sums), expected_mean)
-    close(np.roll(energy, 1), expected_energy)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7])
+@pytest.mark.parametrize("rate", [0.025, 1.0])
+def test_learn_scales(filter_and_spectra, rate, angle):
+    waves, sums, mean, mean_sums = filter_and_spectra
+    energy = np.random.default_rng(12).random(9).astype(np.float32)
+    angles = (angle * np.arange(1, 9)).astype(np.float32)
+    complex_, complex_mean = reference.complex_scales(waves, sums), reference.complex_scales(mean, mean_sums)
+    expected = reference.learn_scales(complex_, angles, rate, complex_mean, np.roll(energy, 1))
+    scale.learn_scales(waves, sums, angles, np.float32(rate), mean, mean_sums, energy)
+    close(reference.complex_scales(mean, mean_sums), expected[0])
+    close(np.roll(energy, 1), expected[1])

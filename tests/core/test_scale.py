@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from mfcmt_core import MFCMTConfig, synthetic
 from mfcmt_core.geometry import Frame
+from mfcmt_core.kernels.scale import respond_scales
 from mfcmt_core.scale import ScaleModel, Spectra
 
 from .reference import complex_scales
@@ -18,6 +19,8 @@ CONFIG = MFCMTConfig.default()
 SIZE = (320, 240)
 WITHIN = (0, 0, *SIZE)
 CENTER = (162.0, 121.0)
+SAMPLES = [15, 33]
+"""Scales sampled of the 33: some, and all."""
 
 
 @pytest.fixture(scope="module")
@@ -49,10 +52,12 @@ def learned(image, base_size=(70.0, 60.0), **changes):
     return model
 
 
+@pytest.mark.parametrize("samples", SAMPLES)
 @pytest.mark.parametrize("steps", [-9, -5, -2, -1, 0, 1, 2, 5, 9])
-def test_known_scale_factors_are_recovered(image, steps):
+def test_known_scale_factors_are_recovered(image, steps, samples):
     factor = 1.02**steps
-    found = learned(image).estimate(spectra(learned(image), zoomed(image, factor)))
+    model = learned(image, scale_samples=samples)
+    found = model.estimate(spectra(model, zoomed(image, factor)))
     assert abs(np.log(found / factor) / np.log(1.02)) <= 1.01
 
 
@@ -62,35 +67,39 @@ def test_the_scale_that_is_known_already_is_taken_into_account(image):
     assert model.estimate(spectra(model, zoomed(image, 1.2), scale=1.2)) == pytest.approx(1, abs=0.021)
 
 
-def test_spectra_are_the_dft_over_scales(image):
+@pytest.mark.parametrize(("count", "apart"), [(15, (0, 1, 2, 5)), (33, (0, 1, 4, 12))])
+def test_spectra_are_the_dft_over_scales(image, count, apart):
     """The inverse returns windowed features in [0, 1], the more alike the nearer their scales."""
-    model = learned(image)
+    model = learned(image, scale_samples=count)
     samples = along_scales(spectra(model, image), model.count)
-    assert samples.shape == (31 * model.width * model.height // 16, 33)
+    assert samples.shape == (31 * model.width * model.height // 16, count)
     assert samples.min() > -1e-4
     assert samples.max() <= 1
-    features = samples / np.hanning(35)[1:-1]
-    likeness = [np.corrcoef(features[:, 16], features[:, 16 + k])[0, 1] for k in (0, 1, 4, 12)]
+    features, same = samples / np.hanning(count + 2)[1:-1], count // 2
+    likeness = [np.corrcoef(features[:, same], features[:, same + k])[0, 1] for k in apart]
     assert likeness == sorted(likeness, reverse=True)
 
 
-def test_filter_is_the_regression_along_scales(image):
+@pytest.mark.parametrize("samples", SAMPLES)
+def test_filter_is_the_regression_along_scales(image, samples):
     """Solved densely in one feature: min ‖w ⋆ x - y‖² + λ‖w‖² over circular shifts of scales."""
-    model = learned(image)
+    model = learned(image, scale_samples=samples)
     n = model.count
+    assert n == samples
     x = along_scales(spectra(model, image), n)
     feature = int(np.abs(x).sum(1).argmax())
-    one = ScaleModel(CONFIG, (70.0, 60.0))
+    one = ScaleModel(CONFIG.replace(scale_samples=samples), (70.0, 60.0))
     seen = spectra(model, image)
     only = slice(feature, feature + 1)
     one.mean = Spectra(np.zeros_like(seen.waves[only]), np.zeros_like(seen.sums[only]))
     one.learn(Spectra(seen.waves[only], seen.sums[only]), first=True)
     shifts = np.stack([np.roll(x[feature], -d) for d in range(n)])
-    label = np.exp(-0.5 * ((np.arange(n) - n // 2) / (np.sqrt(n) * CONFIG.scale_sigma_factor)) ** 2)
+    steps = (np.arange(n) - n // 2) * 33 / n
+    label = np.exp(-0.5 * (steps / (np.sqrt(33) * CONFIG.scale_sigma_factor)) ** 2)
     penalty = CONFIG.scale_regularization
     w = np.linalg.solve(shifts.T @ shifts + penalty * np.eye(n), shifts.T @ label)
     mean = complex_scales(one.mean.waves, one.mean.sums)[0]
-    w_f = np.roll(one.label_f / (one.energy + penalty), 1) * mean
+    w_f = (np.roll(one.label_f / (one.energy + penalty), 1) * mean)[: n // 2 + 1]
     np.testing.assert_allclose(np.fft.fftshift(np.fft.irfft(w_f, n)), np.roll(w, n // 2), atol=1e-3)
 
 
@@ -104,19 +113,107 @@ def test_learning_rate(image):
 
 
 def test_scales_are_33_powers_of_the_step():
-    model = ScaleModel(CONFIG, (50.0, 50.0))
+    model = ScaleModel(CONFIG.replace(scale_samples=33), (50.0, 50.0))
     np.testing.assert_allclose(model.factors, 1.02 ** np.arange(-16.0, 17), rtol=1e-6)
     np.testing.assert_allclose(model.lane_factors[[0, 15, 16, 31, 32]], 1.02 ** np.array([-1.0, -16, 1, 16, 0]))
+    assert model.present == 32
+    assert model.largest == pytest.approx(1.02**16)
     assert not model.window[33:].any()
 
 
+def test_fifteen_samples_take_as_many_steps_as_33_scales():
+    """33 / 15 of a step each, the present one in the padding of the seven smaller ones."""
+    model = ScaleModel(CONFIG, (50.0, 50.0))
+    np.testing.assert_allclose(model.factors, 1.02 ** np.arange(-16.0, 17), rtol=1e-6)
+    step = 1.02 ** (33 / 15)
+    powers = [*range(-1, -8, -1), 0, *range(1, 8)]
+    np.testing.assert_allclose(model.lane_factors, [*(step ** np.array(powers, float)), 1], rtol=1e-6)
+    assert model.present == 7
+    assert model.window[7] == 1
+    assert model.window[15] == 0
+    assert model.largest == pytest.approx(step**7)
+
+
+def response_f_of(model, seen):
+    response_f = np.empty(2 * len(model.label_f) - 1, np.float32)
+    mean, penalty = model.mean, model.regularization
+    respond_scales(seen.waves, seen.sums, mean.waves, mean.sums, model.label_f, model.energy, penalty, response_f)
+    return response_f
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.0, 1.13])
+def test_between_the_samples_the_response_is_interpolated(image, factor):
+    """By the waves that the samples hold: each sample times the kernel sin πt / (n sin πt/n), t samples away."""
+    model = learned(image)
+    response_f = response_f_of(model, spectra(model, zoomed(image, factor)))
+    half = complex_scales(response_f[None, :-1], response_f[-1:])[:, :8]
+    at_samples = np.fft.fftshift(np.fft.irfft(half[0], 15))
+    away = (np.arange(-16, 17) * 15 / 33)[:, None] - np.arange(-7, 8)
+    with np.errstate(invalid="ignore"):
+        kernel = np.sin(np.pi * away) / (15 * np.sin(np.pi * away / 15))
+    kernel[np.isclose(away, 0)] = 1
+    fine = kernel @ at_samples
+    np.testing.assert_allclose(model.inverse @ response_f, fine, atol=1e-4 * np.abs(fine).max())
+    assert model.estimate(spectra(model, zoomed(image, factor))) == model.factors[fine.argmax()]
+
+
+@pytest.mark.parametrize("samples", [33, 35, 101])
+def test_where_all_scales_are_sampled_nothing_is_interpolated(image, samples):
+    model = learned(image, scale_samples=samples)
+    assert model.count == 33
+    response_f = response_f_of(model, spectra(model, zoomed(image, 1.1)))
+    half = complex_scales(response_f[None, :-1], response_f[-1:])[:, :17]
+    expected = np.fft.fftshift(np.fft.irfft(half[0], 33))
+    np.testing.assert_allclose(model.inverse @ response_f, expected, atol=1e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("samples", SAMPLES)
+@pytest.mark.parametrize("steps", [-3, -1, 0, 1, 2])
+def test_a_target_that_grew_is_learned_as_if_looked_at_in_its_size(image, steps, samples):
+    """By whole steps between samples: the windowed features, rolled."""
+    model, plain = (learned(image, scale_samples=samples) for _ in range(2))
+    seen = spectra(model, zoomed(image, 1.1))
+    sample_step = 1.02 ** (33 / samples)
+    model.learn(seen, sample_step**steps, first=True)
+    plain.learn(seen, first=True)
+    expected = np.roll(along_scales(plain.mean, samples), -steps, axis=1)
+    np.testing.assert_allclose(along_scales(model.mean, samples), expected, atol=1e-4)
+    np.testing.assert_allclose(model.energy, plain.energy, rtol=1e-4)
+
+
+@pytest.mark.parametrize("samples", SAMPLES)
+@pytest.mark.parametrize("growth", [1.02**-3, 1.02, 1.02**2])
+def test_a_part_of_a_step_turns_each_wave_by_its_frequency(image, growth, samples):
+    model, plain = (learned(image, scale_samples=samples) for _ in range(2))
+    seen = spectra(model, image)
+    model.learn(seen, growth, first=True)
+    plain.learn(seen, first=True)
+    shift = np.log(growth) / (33 / samples * np.log(1.02))
+    half = complex_scales(plain.mean.waves, plain.mean.sums)[:, : samples // 2 + 1]
+    expected = half * np.exp(2j * np.pi / samples * np.arange(samples // 2 + 1) * shift)
+    actual = complex_scales(model.mean.waves, model.mean.sums)[:, : samples // 2 + 1]
+    np.testing.assert_allclose(actual, expected, atol=1e-4)
+
+
+@pytest.mark.parametrize("steps", [-2, -1, 1, 2])
+def test_after_growth_was_learned_the_new_size_is_the_present_one(image, steps):
+    """Looked at in the size before, learned with its growth, looked at in its size: no change is left."""
+    factor = 1.02**steps
+    grown = zoomed(image, factor)
+    model = ScaleModel(CONFIG, (70.0, 60.0))
+    model.learn(spectra(model, grown), factor, first=True)
+    assert model.estimate(spectra(model, grown, scale=factor)) == pytest.approx(1, abs=0.021)
+    assert model.estimate(spectra(model, grown)) == pytest.approx(factor, abs=1e-6)
+
+
+@pytest.mark.parametrize("samples", [15, 17, 35])
 @pytest.mark.parametrize("scales", [17, 21, 35])
-def test_another_number_of_scales(image, scales):
+def test_another_number_of_scales(image, scales, samples):
     """Padded to whole lanes, and the padding counts for nothing."""
-    model = learned(image, num_scales=scales, scale_step=1.04)
+    model = learned(image, num_scales=scales, scale_samples=samples, scale_step=1.04)
     assert model.estimate(spectra(model, image)) == 1
     assert model.estimate(spectra(model, zoomed(image, 1.04))) == pytest.approx(1.04)
-    samples = along_scales(spectra(model, image), scales)
+    samples = along_scales(spectra(model, image), min(scales, samples))
     assert samples.min() > -1e-4
     assert samples.max() <= 1
 

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from mfcmt_core import MFCMT, MFCMTConfig, synthetic
+from mfcmt_core.geometry import Frame
 from mfcmt_core.otb.dataset import open_otb
 from mfcmt_core.otb.metrics import overlap
 from mfcmt_core.redetection import other_peaks
-from mfcmt_core.tracker import ATTENTION, WIDE_ATTENTION
+from mfcmt_core.reliability import Peaks
+from mfcmt_core.tracker import ATTENTION, WIDE_ATTENTION, Found
 
 from .helpers import boxes_of
 from .test_regions import compare
@@ -78,6 +80,69 @@ def test_a_snapshot_remembers_doubts(clip):
     again = MFCMT.from_bytes(tracker.to_bytes())
     for frame in frames[STEADY + 1 : STEADY + 5]:
         assert again.update(frame) == tracker.update(frame)
+
+
+@pytest.fixture
+def search(clip, monkeypatch):
+    """A search of the frame after the steady ones whose every look finds what it is told to.
+
+    A function of whether the last frame left doubts and of (template peak over the usual one, displacement) a look,
+    the last for all others; it returns the places and cuts that were looked at, all looks, and the one chosen.
+    """
+    tracker, _ = follow(DEFAULT, *jumped(clip, 0.0), STEADY)
+    target = tracker._target
+    frame, within = Frame.of(clip.frames[STEADY]), (0, 0, *clip.frames[STEADY].shape[1::-1])
+
+    def run(was_doubtful, *told):
+        asked, looks, real = [], [], MFCMT._look
+
+        def look(self, target, frame, within, place, cut=None):
+            seen, found = real(self, target, frame, within, place, cut)
+            part, displacement = told[min(len(looks), len(told) - 1)]
+            peaks = Peaks(found.peaks.fused, part * target.reliability.usual[0], 0.5)
+            looks.append((seen, Found(seen.displaced(displacement), peaks, found.psr)))
+            asked.append((place, cut))
+            return looks[-1]
+
+        monkeypatch.setattr(MFCMT, "_look", look)
+        target.reliability.doubtful = was_doubtful
+        return asked, looks, tracker._search(target, frame, within)
+
+    return run
+
+
+def test_without_doubts_one_look_is_enough(search):
+    for was_doubtful in (False, True):
+        _, looks, chosen = search(was_doubtful, (0.7, (3, 0)))
+        assert looks == [chosen]
+
+
+@pytest.mark.parametrize(("displacement", "again"), [((0.5, -0.9), False), ((1.2, 0), True), ((0, -3), True)])
+def test_a_peak_in_the_middle_of_its_window_is_not_looked_at_again(search, displacement, again):
+    """Further off the window is moved to it, in the same cut."""
+    asked, looks, chosen = search(False, (0.3, displacement), (0.4, (0, 0)))
+    first_seen, first_found = looks[0]
+    centred = [(place, cut) for place, cut in asked if cut is not None]
+    assert centred == ([(first_found.center, first_seen.cut)] if again else [])
+    assert chosen is looks[0]
+
+
+def test_a_centred_look_may_end_the_doubts(search):
+    asked, looks, chosen = search(False, (0.3, (3, 0)), (0.9, (0, 0)))
+    assert len(asked) == 2
+    assert chosen is looks[0]
+
+
+@pytest.mark.parametrize(("neighbour", "last", "moves"), [(0.3, None, False), (0.4, 0.5, False), (0.4, 0.9, True)])
+def test_a_neighbour_is_looked_at_again_only_if_it_beats_the_middle(search, neighbour, last, moves):
+    """And the target moves there only where it is twice as high."""
+    told = [(0.35, (0, 0)), (neighbour, (1, 1)), (0.1, (0, 0))] + ([(last, (0, 0))] if last else [])
+    asked, looks, chosen = search(True, *told)
+    assert len(looks) == len(told)
+    assert [cut for _, cut in asked[:3]] == [None] * 3
+    if last:
+        assert asked[3] == (looks[1][1].center, looks[1][0].cut)
+    assert chosen is looks[3 if moves else 0]
 
 
 def test_other_peaks_are_apart_and_high():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from scipy import fft
@@ -11,6 +12,8 @@ from scipy import fft
 from mfcmt_core import MFCMT, MFCMTConfig, synthetic
 from mfcmt_core.geometry import SearchWindow
 from mfcmt_core.template import TemplateModel
+
+from .helpers import filters_of
 
 CONFIG = MFCMTConfig.default().replace(patch_size=32, regularization=0.01, background_interval=0)
 """Cells of 8×8: small enough to write every shift of the samples down."""
@@ -49,7 +52,7 @@ def correlation_matrix(features):
 
 
 def filter_in_space(m: TemplateModel, block):
-    return np.fft.irfft2(m.filters[slice(*block)], s=(N, N)).ravel()
+    return np.fft.irfft2(filters_of(m)[slice(*block)], s=(N, N)).ravel()
 
 
 def respond(m: TemplateModel, spectra):
@@ -97,7 +100,7 @@ def test_equation_3_needs_the_conjugate_that_the_print_leaves_out(shift):
     _, out = respond(m, z)
     assert np.unravel_index(out[0].argmax(), (7, 7)) == (3 + shift[0], 3 + shift[1])
     assert out.max() > 0.9
-    as_printed = np.fft.irfft2((m.filters * z).sum(0), s=(N, N))
+    as_printed = np.fft.irfft2((filters_of(m) * z).sum(0), s=(N, N))
     assert as_printed.max() < 0.5
 
 
@@ -113,7 +116,7 @@ def test_separate_filters_are_independent_regressions():
         alone = model(features=(name,) if name != "color_names" else ("gray", name), joint_filter=False)
         channels = x[block] if name != "color_names" else np.concatenate([x[:1], x[block]])
         alone.learn(spectra_of(channels))
-        np.testing.assert_allclose(m.filters[block], alone.filters[-x[block].shape[0] :], atol=1e-5)
+        np.testing.assert_allclose(filters_of(m)[block], filters_of(alone)[-x[block].shape[0] :], atol=1e-5)
         peaks.append(out[k].max())
     assert mean_peak == pytest.approx(np.mean(peaks))
 
@@ -122,11 +125,11 @@ def test_equation_11_averages_filters():
     m = model(average="filter", template_learning_rate=0.1)
     one, two = spectra_of(noise(5, 42)), spectra_of(noise(6, 42))
     m.learn(two)
-    second = m.filters.copy()
+    second = filters_of(m)
     m.learn(one)  # the first frame has a rate of 1: nothing of what was is left
-    first = m.filters.copy()
+    first = filters_of(m)
     m.learn(two, learned=0)
-    np.testing.assert_allclose(m.filters, 0.9 * first + 0.1 * second, atol=1e-6)
+    np.testing.assert_allclose(filters_of(m), 0.9 * first + 0.1 * second, atol=1e-6)
 
 
 def test_equation_11_on_spectra_minimises_the_weighted_sum_of_all_losses():
@@ -158,18 +161,67 @@ def test_label_is_a_gaussian_of_the_target_s_size(target, window):
         assert label[dy, dx] == pytest.approx(np.exp(-(dx**2 + dy**2) / (2 * sigma**2)), abs=1e-4)
 
 
-def test_a_moved_patch_is_found_where_it_moved_to():
+@pytest.fixture(scope="module")
+def pixels_at():
+    """A function of (dx, dy) in pixels: the patch of 100×100 that shows the target so far from its middle."""
+    image = synthetic.clip("motion").frames[0]
+
+    def cut(dx, dy):
+        return np.ascontiguousarray(image[60 - dy : 160 - dy, 100 - dx : 200 - dx])
+
+    return cut
+
+
+def spectra_at(m, patch):
+    return m.spectra(patch, cv2.cvtColor(patch, cv2.COLOR_BGR2GRAY))
+
+
+def displacement(m, reach, patch):
+    """Where the response to ``patch`` peaks, (x, y) cells."""
+    out = np.empty((len(m.names), 2 * reach[1] + 1, 2 * reach[0] + 1), np.float32)
+    m.respond(spectra_at(m, patch), out)
+    row, column = np.unravel_index(out[0].argmax(), out[0].shape)
+    return column - reach[0], row - reach[1]
+
+
+PLACES = [(0, 0), (12, 0), (-8, 8), (4, -12)]
+
+
+def test_a_moved_patch_is_found_where_it_moved_to(pixels_at):
     """From pixels to displacement: 12 px of the patch are 3 cells."""
     config = MFCMTConfig.default().replace(background_interval=0)
     search = SearchWindow(config, (56.0, 44.0))
     m = TemplateModel(config, search, grey=False)
-    image = synthetic.clip("motion").frames[0]
-    m.learn(m.spectra(np.ascontiguousarray(image[60:160, 100:200])))
-    out = np.empty((1, 2 * search.reach[1] + 1, 2 * search.reach[0] + 1), np.float32)
-    for dx, dy in ((0, 0), (12, 0), (-8, 8), (4, -12)):
-        m.respond(m.spectra(np.ascontiguousarray(image[60 - dy : 160 - dy, 100 - dx : 200 - dx])), out)
-        row, column = np.unravel_index(out[0].argmax(), out[0].shape)
-        assert (4 * (column - search.reach[0]), 4 * (row - search.reach[1])) == (dx, dy)
+    m.learn(spectra_at(m, pixels_at(0, 0)))
+    for dx, dy in PLACES:
+        assert displacement(m, search.reach, pixels_at(dx, dy)) == (dx / 4, dy / 4)
+
+
+@pytest.mark.parametrize("average", ["filter", "spectra"])
+@pytest.mark.parametrize("place", PLACES)
+def test_a_target_off_the_middle_is_learned_as_if_it_were_there(pixels_at, place, average):
+    config = MFCMTConfig.default().replace(background_interval=0, average=average)
+    search = SearchWindow(config, (56.0, 44.0))
+    m = TemplateModel(config, search, grey=False)
+    m.learn(spectra_at(m, pixels_at(*place)), (place[0] / 4, place[1] / 4))
+    for dx, dy in PLACES:
+        if abs(dx - place[0]) <= 12 and abs(dy - place[1]) <= 12:  # further apart the windows share too little
+            assert displacement(m, search.reach, pixels_at(dx, dy)) == (dx / 4, dy / 4)
+
+
+@pytest.mark.parametrize("offset", [(1, 0), (-2, 3), (0.4, -0.7)])
+def test_an_offset_counts_from_the_middle_to_the_target(offset):
+    """Features rolled by whole cells, or a wave between them: the mean is that of the features in the middle."""
+    m, other = model(), model()
+    x = spectra_of(noise(3, m.features.channels))
+    rows, columns = np.fft.fftfreq(N)[:, None], np.arange(N // 2 + 1) / N
+    moved = (x * np.exp(-2j * np.pi * (columns * offset[0] + rows * offset[1]))).astype(np.complex64)
+    if offset == (1, 0):
+        np.testing.assert_allclose(moved, spectra_of(np.roll(noise(3, m.features.channels), 1, 2)), atol=1e-4)
+    m.learn(moved, offset)
+    other.learn(x.copy())
+    np.testing.assert_allclose(m.mean, other.mean, atol=1e-4)
+    np.testing.assert_allclose(m.denominator, other.denominator, rtol=1e-4)
 
 
 def test_the_parts_of_a_joint_response_are_its_cues() -> None:

@@ -34,6 +34,9 @@ def test_the_papers_rivals_learn_every_frame(name: str) -> None:
     assert config.lost_after == 0
     assert config.color_histogram == (name in ("staple", "dat"))
     assert (config.num_scales == 33) == (name in ("staple", "samf", "dsst"))
+    assert config.scale_samples == 33
+    assert config.scale_max_area == 512
+    assert config.learn_within == 0
 
 
 @pytest.mark.parametrize(("name", "maps"), [("default-fixed-merge", 2), ("paper-fixed-merge", 3)])
