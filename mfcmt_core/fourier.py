@@ -23,7 +23,7 @@ class Transform:
 
     def __init__(self, cells: int, reach: tuple[int, int]) -> None:
         n, half = cells, cells // 2 + 1
-        self.cells = n
+        self.reach = reach
         index = np.arange(n)
         angles = 2 * np.pi / n * np.outer(index, index)
         rows = slice(1, (n + 1) // 2)  # where sines are not 0
@@ -54,7 +54,7 @@ class Transform:
         assemble(products, out)
         return out
 
-    def backward(self, spectra: Spectra) -> npt.NDArray[np.float32]:
-        """Of half spectra (maps, n, n // 2 + 1): (maps, 2·ry + 1, 2·rx + 1), zero displacement in the middle."""
+    def backward(self, spectra: Spectra, out: npt.NDArray[np.float32]) -> None:
+        """Half spectra (maps, n, n // 2 + 1) → ``out`` (maps, 2·ry + 1, 2·rx + 1), zero displacement in the middle."""
         waves: npt.NDArray[np.float32] = (self.rows_back @ spectra).view(np.float32)
-        return waves @ self.columns_back
+        np.matmul(waves, self.columns_back, out=out)

@@ -12,7 +12,7 @@ from .config import MFCMTConfig
 from .features import FeatureStack
 from .fourier import Spectra, Transform
 from .geometry import Image, SearchWindow
-from .kernels.template import energy, learn_filters, learn_spectra, respond_filters, turn
+from .kernels.template import divide_label, energy, learn_filters, learn_spectra, respond_filters, turn
 from .workspace import scratch
 
 
@@ -66,7 +66,7 @@ class TemplateModel:
         response_f[:models] *= self.gain
         if self.background:
             respond_filters(self.background.filters, spectra, self.background.all_channels, response_f[models:])
-        out[...] = self.transform.backward(response_f)
+        self.transform.backward(response_f, out)
         return float(sum(response.max() for response in out[:models]) / models)
 
     def respond_by_cue(self, spectra: Spectra) -> dict[str, npt.NDArray[np.float32]]:
@@ -75,7 +75,9 @@ class TemplateModel:
         parts_f = np.empty((len(blocks), *spectra.shape[1:]), np.complex64)
         respond_filters(self.mean, spectra, blocks, parts_f)
         parts_f *= self.gain
-        return dict(zip(self.features.blocks, self.transform.backward(parts_f), strict=True))
+        parts = np.empty((len(blocks), 2 * self.transform.reach[1] + 1, 2 * self.transform.reach[0] + 1), np.float32)
+        self.transform.backward(parts_f, parts)
+        return dict(zip(self.features.blocks, parts, strict=True))
 
     def learn(self, spectra: Spectra, offset: tuple[float, float] = (0, 0), learned: int | None = None) -> None:
         """Learn a patch of the target at the learning rate (equation 11), or at 1 the first time.
@@ -101,4 +103,4 @@ class TemplateModel:
     def refresh(self) -> None:
         """Compute the gain from the denominator."""
         if self.average == "spectra":
-            np.divide(self.label_f, self.denominator + self.regularization, out=self.gain)
+            divide_label(self.label_f, self.denominator, self.regularization, self.gain)

@@ -18,9 +18,15 @@ def scratch(name: str, shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32
     One buffer a name grows to the largest shape asked for, so that a process that has seen targets and frames
     of a thousand shapes holds no more than one that saw the largest. A name has one dtype.
     """
-    buffers: dict[str, npt.NDArray[Any]] = _local.__dict__.setdefault("buffers", {})
+    try:
+        buffers: dict[str, tuple[tuple[int, ...], npt.NDArray[Any], npt.NDArray[Any]]] = _local.buffers
+    except AttributeError:
+        buffers = _local.buffers = {}
+    known = buffers.get(name)
+    if known is not None and known[0] == shape:  # one target's shapes are the same in every frame
+        return known[1]
     size = prod(shape)
-    buffer = buffers.get(name)
-    if buffer is None or buffer.size < size:
-        buffer = buffers[name] = np.zeros(size, dtype)
-    return buffer[:size].reshape(shape)
+    memory = known[2] if known is not None and known[2].size >= size else np.zeros(size, dtype)
+    array = memory[:size].reshape(shape)
+    buffers[name] = shape, array, memory
+    return array

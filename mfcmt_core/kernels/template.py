@@ -26,6 +26,16 @@ def respond_filters(filters, spectra, blocks, response_f):  # type: ignore[no-un
 
 
 @kernel
+def divide_label(label_f, denominator, regularization, gain):  # type: ignore[no-untyped-def]
+    """What equations 2 and 3 leave to multiply a sum with: ``gain`` (models, n, half) ← label / (denominator + λ)."""
+    label = label_f.ravel()
+    for m in range(gain.shape[0]):
+        total, quotient = denominator[m].ravel(), gain[m].ravel()
+        for k in range(label.size):
+            quotient[k] = label[k] * (np.float32(1) / (total[k] + regularization))
+
+
+@kernel
 def energy(spectra, block, out):  # type: ignore[no-untyped-def]
     """Σ |spectrum|² over the channels of a block, ``out`` (n, n // 2 + 1) float32: equation 2's denominator."""
     total = out.ravel()

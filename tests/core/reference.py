@@ -140,6 +140,10 @@ def learn_filters(spectra, label_f, blocks, regularization, rate, filters):
     return (1 - rate) * filters + rate * new
 
 
+def divide_label(label_f, denominator, regularization):
+    return label_f / (denominator + regularization)
+
+
 def learn_spectra(spectra, blocks, rate, mean, denominator):
     energies = np.stack([energy(spectra, block) for block in blocks])
     return (1 - rate) * mean + rate * spectra, (1 - rate) * denominator + rate * energies

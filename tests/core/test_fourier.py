@@ -35,7 +35,7 @@ def test_backward(n, reach):
     """The displacements within reach, x and y, zero in the middle."""
     grids = np.moveaxis(grids_of(n, 2), 1, 0)
     rx, ry = reach
-    near = Transform(n, reach).backward(np.fft.rfft2(grids).astype(np.complex64))
-    assert near.shape == (2, 2 * ry + 1, 2 * rx + 1)
+    near = np.full((2, 2 * ry + 1, 2 * rx + 1), np.nan, np.float32)
+    Transform(n, reach).backward(np.fft.rfft2(grids).astype(np.complex64), near)
     expected = np.roll(grids, (ry, rx), (1, 2))[:, : 2 * ry + 1, : 2 * rx + 1]
     np.testing.assert_allclose(near, expected, atol=1e-5)

@@ -75,6 +75,12 @@ def test_a_part_of_a_cell_is_the_wave_between_the_cells(offset):
     close(np.fft.irfft2(spectra[0], s=(N, N)), between.real)
 
 
+def test_divide_label(spectra, label_f):
+    energies, gain = energies_of(spectra), np.empty((len(BLOCKS), *label_f.shape), np.complex64)
+    template.divide_label(label_f, energies, np.float32(0.3), gain)
+    close(gain, reference.divide_label(label_f, energies, 0.3))
+
+
 @pytest.mark.parametrize("rate", [0.02, 1.0])
 def test_learn_filters(spectra, label_f, rate):
     filters = complex_noise(np.random.default_rng(6), *spectra.shape)
