@@ -8,7 +8,7 @@ DATA ?= $(or $(MFCMT_OTB_ROOT),../shared/data/otb)
 PUBLISHED ?= $(wildcard $(dir $(DATA:/=))published)
 PROTOCOL ?= ope,tre,sre
 
-.PHONY: help setup warmup serve demo test lint lock bench bench-peers eval reproduce guide clean
+.PHONY: help setup warmup serve demo test lint lock bench peers bench-peers eval reproduce guide clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -47,6 +47,8 @@ $(PEERS): .ci/peers.lock $(STAMP)
 	.venv-peers/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r .ci/peers.lock
 	.venv-peers/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
+
+peers: $(PEERS)  ## an environment of its own with OpenCV's contrib trackers and dlib
 
 bench-peers: $(PEERS)  ## OpenCV's and dlib's trackers on the same frames in the same run
 	.venv-peers/bin/mfcmt warmup
