@@ -109,7 +109,7 @@ def test_memory_of_a_tracker(box, preset, frames):
 
 def test_scratch_does_not_grow_with_the_number_of_shapes(frames):
     def held():
-        return sum(a.nbytes for a in workspace._local.buffers.values())
+        return sum(memory.nbytes for _, _, memory in workspace._local.buffers.values())
 
     def follow(size, box):
         tracker = MFCMT(MFCMTConfig.default().replace(lost_after=1, template_threshold=5))
