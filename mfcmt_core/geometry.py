@@ -183,14 +183,11 @@ class SearchWindow:
         pixels = frame.sample(rect, within, (side, side))
         return Patch(pixels, rect, (x + w / 2, y + h / 2), (w / side, h / side))
 
-    def neighbours(
-        self, center: tuple[float, float], scale: float, frame_size: tuple[int, int], axis: int
-    ) -> list[tuple[float, float]]:
-        """Centres of the windows half a window to each side along ``axis`` (0: x, 1: y), if they are in the frame."""
-        x, y = center
-        dx, dy = self.extent[0] * scale / 2, self.extent[1] * scale / 2
-        places = [(x, y - dy), (x, y + dy)] if axis else [(x - dx, y), (x + dx, y)]
-        return [(x, y) for x, y in places if 0 <= x <= frame_size[0] and 0 <= y <= frame_size[1]]
+    def neighbour(self, center: tuple[float, float], scale: float, side: int) -> tuple[float, float]:
+        """Centre of the window half a window to the left (``side`` 0), up (1), to the right (2) or down (3)."""
+        half = self.extent[side % 2] * scale / 2
+        step = half if side >= 2 else -half
+        return (center[0] + step, center[1]) if side % 2 == 0 else (center[0], center[1] + step)
 
 
 def clip_rect(rect: Rect, frame_size: tuple[int, int]) -> Rect:

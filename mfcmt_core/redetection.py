@@ -1,4 +1,4 @@
-"""Where else to look: for a doubtful target at the map's other peaks, for a lost one where its colours fit best."""
+"""Where else to look: for a doubtful target at the map's other peak, for a lost one where its colours fit best."""
 
 from __future__ import annotations
 
@@ -15,24 +15,20 @@ TARGET_SIDE = 8.0
 """Pixels that the target's shorter side keeps in the shrunken frame."""
 MAX_SIDE = 160
 """Pixels of the shrunken frame's longer side at most, so that the search costs less than one update."""
-OTHER_PEAKS = 2
-"""Peaks beside the highest one that are looked at."""
 OTHER_HEIGHT = 0.5
 """Of the highest peak, that another one must have."""
 
 
-def other_peaks(fused: npt.NDArray[np.float32], target: tuple[float, float]) -> list[tuple[float, float]]:
-    """Displacements (x, y) in cells of the next highest peaks of ``fused``, a third of the target (w, h) apart."""
+def other_peak(fused: npt.NDArray[np.float32], target: tuple[float, float]) -> tuple[float, float] | None:
+    """Displacement (x, y) in cells of the next highest peak of ``fused``, a third of the target (w, h) apart."""
     rest, highest = fused.copy(), fused.max()
     x_apart, y_apart = (max(1, int(side / 3)) for side in target)
-    found: list[tuple[float, float]] = []
-    for _ in range(OTHER_PEAKS + 1):
-        y, x = np.unravel_index(int(rest.argmax()), rest.shape)
-        if rest[y, x] < OTHER_HEIGHT * highest:
-            break
-        found.append((float(x - rest.shape[1] // 2), float(y - rest.shape[0] // 2)))
-        rest[max(0, y - y_apart) : y + y_apart + 1, max(0, x - x_apart) : x + x_apart + 1] = 0
-    return found[1:]
+    y, x = np.unravel_index(int(rest.argmax()), rest.shape)
+    rest[max(0, y - y_apart) : y + y_apart + 1, max(0, x - x_apart) : x + x_apart + 1] = 0
+    y, x = np.unravel_index(int(rest.argmax()), rest.shape)
+    if rest[y, x] < OTHER_HEIGHT * highest:
+        return None
+    return float(x - rest.shape[1] // 2), float(y - rest.shape[0] // 2)
 
 
 def propose(color: ColorModel, frame: Frame, base_size: tuple[float, float], scale: float) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from .config import MFCMTConfig
 from .errors import BadConfig, BadImage, BadSnapshot, NotInitialised
 from .fusion import fuse
 from .geometry import Frame, Image, Rect, SearchWindow, check_box, clip_rect, grow_rect
-from .redetection import other_peaks, propose
+from .redetection import other_peak, propose
 from .reliability import Peaks, Verdict
 from .result import TrackResult
 from .target import Cut, Observation, Point, Target, is_grey
@@ -185,23 +185,28 @@ class MFCMT:
         was_doubtful, target.reliability.doubtful = target.reliability.doubtful, False
         if not target.reliability.doubts(first[1].peaks):
             return first
-        others = other_peaks(target.maps()[1], target.window.target)
+        elsewhere = other_peak(target.maps()[1], target.window.target)
         centred = first
         if not first[0].is_central(first[1].center):  # off the middle of the window a target's peak is lower
             centred = look(first[1].center, first[0].cut)
             if not target.reliability.doubts(centred[1].peaks):
                 return first
         target.reliability.doubtful = True
-        if was_doubtful:  # on two sides, in turn: no frame should cost more than two others
-            axis = target.reliability.unreliable_run % 2
-            places = target.window.neighbours(target.center, target.scale, frame.size, axis)
-            around = max((look(place) for place in places), key=_strength, default=centred)
-            looks = [look(around[1].center, around[0].cut)] if _strength(around) > _strength(centred) else []
+        if was_doubtful:  # one side a frame, in turn: none should cost more than two others
+            side = (target.reliability.learned + target.reliability.unreliable_run) % 4
+            x, y = target.window.neighbour(target.center, target.scale, side)
+            if not (0 <= x <= frame.size[0] and 0 <= y <= frame.size[1]):
+                return first
+            other = look((x, y))
+            if _strength(other) <= _strength(centred):
+                return first
+            other = look(other[1].center, other[0].cut)
+        elif elsewhere:
+            other = look(first[0].displaced(elsewhere))
         else:
-            looks = [look(first[0].displaced(displacement)) for displacement in others]
-        best = max(looks, key=_strength, default=centred)
-        decisive = best[1].peaks.template > self.config.doubt_margin * centred[1].peaks.template
-        return best if decisive else first
+            return first
+        decisive = other[1].peaks.template > self.config.doubt_margin * centred[1].peaks.template
+        return other if decisive else first
 
     def _look(self, target: Target, frame: Frame, within: Rect, place: Point, cut: Cut | None = None) -> Look:
         """What the window around ``place`` shows and where its fused map peaks."""

@@ -9,7 +9,7 @@ from mfcmt_core import MFCMT, MFCMTConfig, synthetic
 from mfcmt_core.geometry import Frame
 from mfcmt_core.otb.dataset import open_otb
 from mfcmt_core.otb.metrics import overlap
-from mfcmt_core.redetection import other_peaks
+from mfcmt_core.redetection import other_peak
 from mfcmt_core.reliability import Peaks
 from mfcmt_core.tracker import ATTENTION, WIDE_ATTENTION, Found
 
@@ -46,11 +46,12 @@ def follow(config, frames, boxes, count):
 
 
 @pytest.mark.parametrize("windows", [0.6, -0.65])
-def test_a_jump_beyond_the_window_is_followed_within_three_frames(clip, windows):
+def test_a_jump_beyond_the_window_is_followed_within_six_frames(clip, windows):
+    """One leaves doubts, four look to a side each."""
     frames, boxes = jumped(clip, windows)
-    _, results = follow(DEFAULT, frames, boxes, STEADY + 4)
+    _, results = follow(DEFAULT, frames, boxes, STEADY + 6)
     assert iou(results[STEADY - 2].box, boxes[STEADY - 1]) > 0.7
-    assert iou(results[-1].box, boxes[STEADY + 3]) > 0.6
+    assert iou(results[-1].box, boxes[STEADY + 5]) > 0.6
     assert results[STEADY - 1].status == "uncertain"
 
 
@@ -136,20 +137,31 @@ def test_a_centred_look_may_end_the_doubts(search):
 @pytest.mark.parametrize(("neighbour", "last", "moves"), [(0.3, None, False), (0.4, 0.5, False), (0.4, 0.9, True)])
 def test_a_neighbour_is_looked_at_again_only_if_it_beats_the_middle(search, neighbour, last, moves):
     """And the target moves there only where it is twice as high."""
-    told = [(0.35, (0, 0)), (neighbour, (1, 1)), (0.1, (0, 0))] + ([(last, (0, 0))] if last else [])
+    told = [(0.35, (0, 0)), (neighbour, (1, 1))] + ([(last, (0, 0))] if last else [])
     asked, looks, chosen = search(True, *told)
     assert len(looks) == len(told)
-    assert [cut for _, cut in asked[:3]] == [None] * 3
+    assert [cut for _, cut in asked[:2]] == [None] * 2
     if last:
-        assert asked[3] == (looks[1][1].center, looks[1][0].cut)
-    assert chosen is looks[3 if moves else 0]
+        assert asked[2] == (looks[1][1].center, looks[1][0].cut)
+    assert chosen is looks[2 if moves else 0]
 
 
-def test_other_peaks_are_apart_and_high():
+def test_lasting_doubts_look_to_all_four_sides_in_turn(clip):
+    """Half a window away each."""
+    tracker, _ = follow(DEFAULT, *jumped(clip, 0.0), STEADY)
+    target = tracker._target
+    (x, y), (w, h) = target.center, target.window.extent
+    around = [target.window.neighbour((x, y), 2.0, side) for side in range(4)]
+    assert around == [(x - w, y), (x, y - h), (x + w, y), (x, y + h)]
+
+
+def test_the_other_peak_is_apart_and_high():
     fused = np.zeros((11, 15), np.float32)
-    fused[5, 7], fused[5, 8], fused[2, 3], fused[9, 12], fused[0, 14] = 1, 0.9, 0.8, 0.6, 0.4
-    assert other_peaks(fused, (6.0, 6.0)) == [(-4, -3), (5, 4)]
-    assert other_peaks(fused * 0 + fused.max(), (99.0, 99.0)) == []
+    fused[5, 7], fused[5, 8], fused[2, 3], fused[9, 12] = 1, 0.9, 0.8, 0.6
+    assert other_peak(fused, (6.0, 6.0)) == (-4, -3)
+    fused[2, 3] = fused[9, 12] = 0.4
+    assert other_peak(fused, (6.0, 6.0)) is None
+    assert other_peak(fused * 0 + 1, (99.0, 99.0)) is None
 
 
 def test_a_runner_behind_a_pole_is_taken_up_again(otb_root):
