@@ -54,7 +54,8 @@ class BackgroundAwareFilter:
         power /= mean.shape[1] ** 2
         before = np.float32(PENALTIES[-1])
         if first:
-            self.filters[:] = self.unmasked[:] = before = np.float32(0)
+            self.filters[:], self.unmasked[:] = 0, 0
+            before = np.float32(0)
         for penalty in map(np.float32, PENALTIES if first else PENALTIES[-1:]):
             solve_background(mean, self.label, power, before, penalty, self.filters, self.unmasked)
             masked = self._masked(self.unmasked)

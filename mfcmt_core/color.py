@@ -48,8 +48,6 @@ class ColorModel:
         self.inner = _centered(side, w * config.foreground_fraction, h * config.foreground_fraction)
         self.outer = _centered(side, w, h)
         self.box = (self.outer[3] - self.outer[1], self.outer[2] - self.outer[0])  # (w, h)
-        pixels = (_area(self.inner), side * side - _area(self.outer))
-        self.pixels = np.maximum(pixels, 1).astype(np.float32)
         (rx, ry), (bw, bh) = window.reach, self.box
         steps_x, steps_y = np.arange(-rx, rx + 1) * CELL, np.arange(-ry, ry + 1) * CELL
         self.columns = np.clip((side - bw) // 2 + steps_x, 0, side - bw)
@@ -67,8 +65,10 @@ class ColorModel:
         """Move both histograms towards those of a patch of the target (equation 11), ``offset`` (x, y) cells off it."""
         rate = np.float32(1) if first else self.rate
         self._fade(np.float32(1) - rate)
-        one_f, one_b = rate * self.gain / self.pixels
         inner, outer = _moved(self.inner, offset, len(bins)), _moved(self.outer, offset, len(bins))
+        share = rate * self.gain[0]
+        one_f = share / np.float32(max(_area(inner), 1))
+        one_b = share / np.float32(max(bins.size - _area(outer), 1))
         shown = scratch("colors_shown", bins.shape, np.uint16).ravel()
         counts = scratch("color_counts", self.lookup.shape, np.int64)  # nobody else's: always zero
         learn_colors(bins, inner, outer, one_f, one_b, self.unseen, shown, counts, self.histograms, self.lookup)

@@ -47,8 +47,8 @@ class MFCMTConfig:
     background_interval: int = 4
     """Learned frames from one training of the background-aware filter to the next; 0: there is no such filter."""
     learn_within: float = 1.0
-    """Cells that the target may be off the middle of what is learned, and a step of scale off its size; further off
-    the window is cut anew. 0: always."""
+    """Cells from the middle of a searched window within which, and within a step of scale, the models learn from it,
+    moved to the target's exact place. 0: they learn from a window cut anew, at the next whole pixel."""
 
     # Statistical model (equations 4–7)
     color_histogram: bool = True

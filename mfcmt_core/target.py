@@ -102,7 +102,8 @@ class Target:
         x, y = (min(max(round(pixels), -margin), margin) for pixels in cut.offset(place))
         size = self.window.patch_size
         part = (slice(y + margin, y + margin + size), slice(x + margin, x + margin + size))
-        pixels, gray = np.ascontiguousarray(cut.pixels[part]), np.ascontiguousarray(cut.gray[part])
+        pixels = np.ascontiguousarray(cut.pixels[part])
+        gray = pixels if self.grey else np.ascontiguousarray(cut.gray[part])
         return Observation(
             cut,
             (x, y),

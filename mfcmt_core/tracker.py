@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -192,21 +192,22 @@ class MFCMT:
             if not target.reliability.doubts(centred[1].peaks):
                 return first
         target.reliability.doubtful = True
-        if was_doubtful:  # one side a frame, in turn: none should cost more than two others
-            side = (target.reliability.learned + target.reliability.unreliable_run) % 4
-            x, y = target.window.neighbour(target.center, target.scale, side)
-            if not (0 <= x <= frame.size[0] and 0 <= y <= frame.size[1]):
-                return first
-            other = look((x, y))
-            if _strength(other) <= _strength(centred):
-                return first
-            other = look(other[1].center, other[0].cut)
-        elif elsewhere:
-            other = look(first[0].displaced(elsewhere))
+        if was_doubtful:
+            other = self._look_aside(target, frame, look, centred)
         else:
+            other = look(first[0].displaced(elsewhere)) if elsewhere else None
+        if other is None or other[1].peaks.template <= self.config.doubt_margin * centred[1].peaks.template:
             return first
-        decisive = other[1].peaks.template > self.config.doubt_margin * centred[1].peaks.template
-        return other if decisive else first
+        return other
+
+    def _look_aside(self, target: Target, frame: Frame, look: Callable[..., Look], centred: Look) -> Look | None:
+        """What half a window aside peaks higher than ``centred``: one side a frame, in turn, to keep each one short."""
+        side = (target.reliability.learned + target.reliability.unreliable_run) % 4
+        x, y = target.window.neighbour(target.center, target.scale, side)
+        if not (0 <= x <= frame.size[0] and 0 <= y <= frame.size[1]):
+            return None
+        aside = look((x, y))
+        return look(aside[1].center, aside[0].cut) if _strength(aside) > _strength(centred) else None
 
     def _look(self, target: Target, frame: Frame, within: Rect, place: Point, cut: Cut | None = None) -> Look:
         """What the window around ``place`` shows and where its fused map peaks."""
