@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from mfcmt_core import MFCMTConfig, TrackResult
+from mfcmt_core import MFCMT, MFCMTConfig, TrackResult
 from mfcmt_core.template import TemplateModel
 
 PRESETS = {"default": MFCMTConfig.default(), "paper": MFCMTConfig.paper()}
@@ -39,6 +39,15 @@ def assert_sane(result: TrackResult, frame_size: tuple[int, int]) -> None:
 def filters_of(model: TemplateModel) -> np.ndarray:
     """W of equation 2, (channels, n, n // 2 + 1)."""
     return np.concatenate([model.mean[a:b] * np.conj(g) for (a, b), g in zip(model.blocks, model.gain, strict=True)])
+
+
+def track(config: MFCMTConfig, frames: Sequence[np.ndarray], box: Iterable[float]) -> list[TrackResult]:
+    """The results of all frames, every one of them sane."""
+    height, width = frames[0].shape[:2]
+    results = list(MFCMT(config).track(frames, box))
+    for result in results:
+        assert_sane(result, (width, height))
+    return results
 
 
 def boxes_of(results: Iterable[TrackResult]) -> np.ndarray:

@@ -20,6 +20,15 @@ Serve = Callable[..., "Wire"]
 Answer = dict[str, Any]
 
 
+def problem(response: httpx2.Response) -> tuple[int, str]:
+    """The status and the code of a refusal."""
+    assert response.headers["content-type"] == "application/problem+json"
+    told = response.json()
+    assert told["status"] == response.status_code
+    assert told["type"] == f"/docs#{told['code']}"
+    return response.status_code, told["code"]
+
+
 class Stream:
     """A WebSocket and the subprotocol that it speaks."""
 
