@@ -204,7 +204,7 @@ def test_touch_on_a_phone(browser, command, clip):
         point = {"x": at["x"] + px * scale, "y": at["y"] + py * scale}
         session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [point]})
     session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
-    page.wait_for_timeout(500)  # nobody is faster; a sooner tap counts as part of the gesture
+    page.wait_for_timeout(500)  # nobody is faster
     page.get_by_role("button", name="Start tracking").tap()
     says(page, "close this page")
     assert first_box(process) == pytest.approx(list(clip.boxes[0]), abs=1.5)

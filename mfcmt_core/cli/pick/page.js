@@ -78,6 +78,9 @@ stage.addEventListener("pointerdown", (event) => {
   drag = { x, y, from: inside ? [...box] : null };
 });
 
+// The browser may take the end of a quick drag for a fling, and then swallows the tap that comes next.
+stage.addEventListener("touchstart", (event) => event.preventDefault(), { passive: false });
+
 stage.addEventListener("pointermove", (event) => {
   if (!drag || !event.isPrimary) return;
   const [x, y] = point(event);

@@ -22,6 +22,8 @@ export class Stage {
     root.addEventListener("pointermove", (event) => this.#move(event));
     root.addEventListener("pointerup", (event) => this.#up(event));
     root.addEventListener("pointercancel", () => this.cancel());
+    // A browser may take the end of a quick drag for a fling, and then swallows the tap that comes next.
+    root.addEventListener("touchstart", (event) => this.#pointer !== null && event.preventDefault(), { passive: false });
     root.addEventListener("keydown", (event) => this.#key(event));
     root.addEventListener("blur", () => this.byKeys && this.cancel());
   }
