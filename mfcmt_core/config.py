@@ -95,6 +95,8 @@ class MFCMTConfig:
     """Of these so many are sampled, odd; between them the response is interpolated (fDSST)."""
     scale_step: float = 1.02
     """Ratio of neighbouring scales."""
+    scale_interval: int = 2
+    """Searched and learned in every so many-th learned frame."""
     scale_learning_rate: float = 0.025
     scale_regularization: float = 1e-2
     scale_sigma_factor: float = 0.25
@@ -129,6 +131,7 @@ class MFCMTConfig:
             doubt_threshold=0.0,
             learn_within=0.0,
             scale_samples=33,
+            scale_interval=1,
             scale_max_area=512.0,
         )
 
@@ -221,6 +224,7 @@ _RANGES: dict[str, tuple[type, float, float]] = {
     "learn_within": (float, 0, 10),
     "num_scales": (int, 1, 101),
     "scale_samples": (int, 3, 101),
+    "scale_interval": (int, 1, 1_000_000),
     "scale_step": (float, 1.001, 1.5),
     "scale_learning_rate": (float, 0, 1),
     "scale_regularization": (float, 1e-8, 1e3),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import log, sqrt
 
 import cv2
@@ -10,30 +9,22 @@ import numpy as np
 import numpy.typing as npt
 
 from .config import MFCMTConfig
+from .fourier import Spectra
 from .geometry import CELL, Frame, Image, Rect
 from .kernels.hog import CHANNELS, SIGNED
 from .kernels.scale import learn_scales, respond_scales, scale_hog
 from .workspace import scratch
 
+Reals = npt.NDArray[np.float32]
+
 LANES = 8
-"""The scales to each side are padded to a multiple of this many SIMD lanes."""
+"""The scales are padded to a multiple of this many SIMD lanes."""
 MAX_SAMPLE_SIDE = 64
 """Pixels: together with the area this bounds the cost for targets of any aspect."""
 MIN_SIDE = 5.0
 """Pixels; a target is not followed below this size, unless it began smaller."""
 OVERSAMPLING = 2.0
 """Pixels of the grey cut a sample of scale 1, at most: enough that the smallest scale does not alias."""
-
-
-@dataclass(frozen=True, slots=True)
-class Spectra:
-    """DFT over scales of each feature: M cosine and M sine sums, ``waves`` (features, 2 M) float32, and the sum.
-
-    M is the number of scales to each side, padded; ``sums`` (features,) float32 is frequency 0.
-    """
-
-    waves: npt.NDArray[np.float32]
-    sums: npt.NDArray[np.float32]
 
 
 class ScaleModel:
@@ -45,15 +36,12 @@ class ScaleModel:
     same in every frame, so that the numerator is kept without it. The response is a sum of waves and can be had
     at any scale (fDSST: Danelljan et al., PAMI 2017).
 
-    Spectra count from the present scale, so that the symmetric label's is real. They are real arrays, see
-    :class:`Spectra`.
+    Spectra are half spectra along the n samples, (cells, 31, n // 2 + 1) complex64, and count from the present scale,
+    so that the symmetric label's is real.
     """
 
     def __init__(self, config: MFCMTConfig, base_size: tuple[float, float]) -> None:
-        n = min(config.scale_samples, config.num_scales)
-        reach = n // 2
-        side = -(-reach // LANES) * LANES
-        self.count = n
+        n = self.count = min(config.scale_samples, config.num_scales)
         self.rate = np.float32(config.scale_learning_rate)
         self.regularization = np.float32(config.scale_regularization)
         self.epsilon = np.float32(config.hog_epsilon)
@@ -64,50 +52,52 @@ class ScaleModel:
         self.factors = (config.scale_step ** fine.astype(float)).astype(np.float32)
         spacing = config.num_scales / n
         sample_step = config.scale_step**spacing
-        self.largest = sample_step**reach
-        distance = np.arange(1, side + 1)
-        lanes = np.concatenate([-distance, distance])  # in the order of kernels.scale
-        self.present = reach if reach < side else 2 * side
-        if reach == side:
-            lanes = np.append(lanes, np.full(LANES, side + 1))
-        lanes[self.present] = 0
-        inside = abs(lanes) <= reach
-        self.lane_factors = np.where(inside, sample_step**lanes, 1).astype(np.float32)
-        self.window = np.where(inside, 0.5 + 0.5 * np.cos(np.pi * lanes / (reach + 1)), 0).astype(np.float32)
+        steps = np.arange(-(n // 2), n // 2 + 1)
+        self.largest = sample_step ** (n // 2)
+        padding = (0, -n % LANES)
+        self.lane_factors = np.pad(sample_step**steps, padding, constant_values=1).astype(np.float32)
+        self.window = np.pad(np.hanning(n + 2)[1:-1], padding).astype(np.float32)
         # n is small and odd: a matrix product beats any transform
-        angles = 2 * np.pi / n * np.outer(np.arange(side + 1), distance)
-        known = (np.arange(side + 1) <= reach)[:, None] & (distance <= reach)
-        self.cosines = (np.cos(angles) * known).astype(np.float32)
-        self.sines = (np.sin(angles) * known)[1:].astype(np.float32)
-        self.ones = np.ones(side + 1, np.float32)
-        steps = np.arange(-reach, reach + 1)
+        frequencies = 2 * np.pi / n * np.arange(n // 2 + 1)
+        waves = np.exp(-1j * np.outer(np.pad(steps, padding), frequencies)).astype(np.complex64)
+        self.transform = waves.view(np.float32)
+        twice = np.where(frequencies == 0, 1, 2) / n
+        self.inverse = (
+            (np.exp(-1j * np.outer(fine / spacing, frequencies)) * twice).astype(np.complex64).view(np.float32)
+        )
+        self.frequency_of_growth = frequencies / log(sample_step)
         label = np.exp(-0.5 * (steps * spacing / (sqrt(config.num_scales) * config.scale_sigma_factor)) ** 2)
-        self.label_f = (label @ np.cos(2 * np.pi / n * np.outer(steps, np.append(distance, 0)))).astype(np.float32)
-        frequencies = 2 * np.pi / n * distance * (distance <= reach)
-        angles = np.outer(fine / spacing, frequencies)
-        back = np.concatenate([2 * np.cos(angles), 2 * np.sin(angles), np.ones((len(fine), 1))], axis=1)
-        self.inverse = (back / n).astype(np.float32)
-        self.angle_of_growth = (frequencies / np.log(sample_step)).astype(np.float32)
-        features = CHANNELS * (self.width // CELL) * (self.height // CELL)
-        self.mean = Spectra(np.zeros((features, 2 * side), np.float32), np.zeros(features, np.float32))
-        self.energy = np.zeros(side + 1, np.float32)
+        self.label_f = (label @ np.cos(np.outer(steps, frequencies))).astype(np.float32)
+        cells = (self.width // CELL) * (self.height // CELL)
+        self.mean: Spectra = np.zeros((cells, CHANNELS, len(frequencies)), np.complex64)
+        self.energy = np.zeros(len(frequencies), np.float32)
 
     def estimate(self, spectra: Spectra) -> float:
         """The factor by which the target's size differs from the one that ``spectra`` were taken at."""
-        mean, label = self.mean, self.label_f
-        response_f = scratch("scale_response", (2 * len(label) - 1,))
-        respond_scales(
-            spectra.waves, spectra.sums, mean.waves, mean.sums, label, self.energy, self.regularization, response_f
-        )
-        response = self.inverse @ response_f
+        products = scratch("scale_products", spectra.shape[1:], np.complex64)
+        response_f = scratch("scale_response", self.energy.shape, np.complex64)
+        respond_scales(spectra, self.mean, self.label_f, self.energy, self.regularization, products, response_f)
+        response = self.inverse @ response_f.view(np.float32)
         best, same = response.argmax(), len(self.factors) // 2
         return float(self.factors[best if response[best] > response[same] else same])
 
     def learn(self, spectra: Spectra, growth: float = 1.0, first: bool = False) -> None:
         """Move the filter towards the target, which is ``growth`` times the size that ``spectra`` were taken at."""
         rate = np.float32(1) if first else self.rate
-        angles = self.angle_of_growth * np.float32(log(growth))
-        learn_scales(spectra.waves, spectra.sums, angles, rate, self.mean.waves, self.mean.sums, self.energy)
+        phase = np.exp(1j * log(growth) * self.frequency_of_growth).astype(np.complex64)
+        turns = scratch("scale_products", spectra.shape[1:], np.complex64)
+        learn_scales(spectra, phase, rate, self.mean, self.energy, turns, scratch("scale_squares", turns.shape))
+
+    def adopt(self, waves: Reals, sums: Reals, energy: Reals) -> None:
+        """Take over a filter whose frequencies from 1 on are cosine sums, then sine sums, each padded to lanes.
+
+        ``waves`` (features, 2 · lanes), ``sums`` (features,) frequency 0, ``energy`` (lanes + 1,) that one last.
+        """
+        reach, lanes = self.count // 2, len(energy) - 1
+        mean = self.mean.reshape(len(sums), -1)
+        mean[:, 0], self.energy[0] = sums, energy[-1]
+        mean[:, 1:] = waves[:, :reach] - 1j * waves[:, lanes : lanes + reach]
+        self.energy[1:] = energy[:reach]
 
     def clamp(self, scale: float, frame_size: tuple[int, int]) -> float:
         """``scale`` within what makes sense: a few pixels at least, the frame at most."""
@@ -120,33 +110,31 @@ class ScaleModel:
         """What the target's surroundings at that centre look like at each scale; scratch, until the next call."""
         w, h = self.base_size[0] * scale, self.base_size[1] * scale
         gray, (cx, cy), (fx, fy) = _gray_cut(frame, within, center, (w, h), self.largest, (self.width, self.height))
-        lanes, side = len(self.lane_factors), len(self.sines)
-        ny, nx = self.height // CELL, self.width // CELL
-        even = scratch("scale_even", (ny * nx * CHANNELS, side + 1))
-        odd = scratch("scale_odd", (ny * nx * CHANNELS, side))
+        ny, nx, lanes = self.height // CELL, self.width // CELL, len(self.lane_factors)
+        samples = (self.height, self.width, lanes)
+        features = scratch("scale_features", (ny * nx, CHANNELS, lanes))
         scale_hog(
             gray,
             np.float32(cx),
             np.float32(cy),
             self.lane_factors * np.float32(w / self.width / fx),
             self.lane_factors * np.float32(h / self.height / fy),
-            self.present,
             self.epsilon,
             self.window,
             scratch("quads", gray.shape, np.uint32),
-            scratch("scale_samples", (self.height, self.width, lanes)),
+            scratch("scale_samples", samples),
+            scratch("scale_magnitude", samples),
+            scratch("scale_orientation", samples, np.uint8),
             scratch("scale_histogram", (ny * nx + 1, SIGNED, lanes)),
+            scratch("scale_energy", (ny, nx, lanes)),
             scratch("scale_norms", (ny + 1, nx + 1, lanes)),
-            even,
-            odd,
+            scratch("scale_texture", (4, lanes)),
+            features,
         )
-        spectra = Spectra(scratch("scale_waves", (len(even), 2 * side)), scratch("scale_sums", (len(even),)))
-        # cell by cell: products too small for a BLAS to bring its threads to, which cost more than they save
-        cells = (ny * nx, CHANNELS, -1)
-        waves = spectra.waves.reshape(cells)
-        np.matmul(even.reshape(cells), self.cosines, out=waves[..., :side])
-        np.matmul(odd.reshape(cells), self.sines, out=waves[..., side:])
-        np.matmul(even, self.ones, out=spectra.sums)
+        spectra = scratch("scale_spectra", self.mean.shape, np.complex64)
+        # row by row: products too small for a BLAS to bring its threads to, which cost more than they save
+        rows = (ny, nx * CHANNELS, -1)
+        np.matmul(features.reshape(rows), self.transform, out=spectra.view(np.float32).reshape(rows))
         return spectra
 
 

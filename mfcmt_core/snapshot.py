@@ -15,6 +15,7 @@ from .config import MFCMTConfig
 from .errors import BadConfig, BadSnapshot
 from .geometry import MAX_FRAME_SIDE, MIN_BOX_SIDE
 from .reliability import HISTORY
+from .scale import LANES
 
 if TYPE_CHECKING:
     from .target import Target
@@ -22,9 +23,9 @@ if TYPE_CHECKING:
 FORMAT = "mfcmt-tracker"
 VERSION = 3
 PREVIOUS = 2
-"""Held the filters beside what they follow from, and the histograms apart. Read, not written."""
-SINCE = {"learn_within": 0.0, "scale_samples": 101}
-"""Parameters that it did not know, as it had them: a window for each model, every scale sampled."""
+"""Held filters beside what they follow from, histograms apart, scales as real waves. Read, not written."""
+SINCE = {"learn_within": 0.0, "scale_samples": 101, "scale_interval": 1}
+"""Parameters that it did not know, as it had them: a window for each model, every scale sampled, in every frame."""
 MAX_VALUE = 1e12
 """Of any array: far above what images give, and responses to it stay inside float32."""
 SIGNED = ("scale_waves",)
@@ -125,6 +126,8 @@ def restore(target: Target, state: State) -> None:
     target.center, target.scale = state.center, state.scale
     for name, value in state.reliability.items():
         setattr(target.reliability, name, value)
+    if target.sizes and state.version == PREVIOUS:
+        target.sizes.adopt(*(expected[name] for name in ("scale_waves", "scale_sums", "scale_energy")))
     if target.template:
         target.template.refresh()
         if target.template.background and state.version == PREVIOUS:
@@ -147,7 +150,7 @@ def _arrays(target: Target) -> dict[str, npt.NDArray[Any]]:
     if c := target.color:
         arrays |= {"histograms": c.histograms, "histogram_gain": c.gain}
     if s := target.sizes:
-        arrays |= {"scale_waves": s.mean.waves, "scale_sums": s.mean.sums, "scale_energy": s.energy}
+        arrays |= {"scale_mean": s.mean, "scale_energy": s.energy}
     return arrays
 
 
@@ -164,6 +167,14 @@ def _previous_arrays(target: Target) -> dict[str, npt.NDArray[Any]]:
         histograms = arrays.pop("histograms")
         arrays |= {"foreground": histograms[:, 0], "background": histograms[:, 1]}
         del arrays["histogram_gain"]
+    if target.sizes:
+        cells, channels, half = arrays.pop("scale_mean").shape
+        lanes = -(-(half - 1) // LANES) * LANES
+        arrays |= {
+            "scale_waves": np.empty((cells * channels, 2 * lanes), np.float32),
+            "scale_sums": np.empty(cells * channels, np.float32),
+            "scale_energy": np.empty(lanes + 1, np.float32),
+        }
     return arrays
 
 

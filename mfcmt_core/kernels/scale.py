@@ -1,9 +1,8 @@
 """Samples of the scale filter: one small patch a scale, all scales side by side in SIMD lanes.
 
-Arrays end in the axis of scales, so that every inner loop runs over scales. With m steps to each side, padded
-to M lanes, its order is m smaller ones by distance, m larger ones by distance (each padded to M): scales at the
-same distance face each other, and even and odd parts are sums and differences of lanes. The present scale is in
-the padding behind the smaller ones, or where there is none behind all others.
+Arrays of pixels and cells end in the axis of scales, so that every inner loop runs over them. Scratch comes from the
+caller: arrays that a kernel allocates itself may overlap for all that its compiler knows, and are tested for it in
+every inner loop.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ._jit import kernel
-from .hog import CHANNELS, CLIP, ORIENTATIONS, SIGNED, TEXTURE, direction
+from .hog import CLIP, ORIENTATIONS, SIGNED, TEXTURE, direction
 
 
 @kernel
@@ -72,36 +71,45 @@ def sample_scales(quads, center_x, center_y, step_x, step_y, out):  # type: igno
 
 
 @kernel
-def scale_histogram(samples, count, histogram):  # type: ignore[no-untyped-def]
-    """Bilinear votes of the first ``count`` lanes of ``samples`` (h, w, lanes) into cells of 4×4.
+def scale_gradients(samples, magnitude, orientation):  # type: ignore[no-untyped-def]
+    """Central differences of ``samples`` (h, w, lanes) → ``magnitude`` and ``orientation``; the border repeats."""
+    height, width, lanes = samples.shape
+    for y in range(height):
+        above, row, below = samples[max(y - 1, 0)], samples[y], samples[min(y + 1, height - 1)]
+        for x in range(width):
+            left, right, up, down = row[max(x - 1, 0)], row[min(x + 1, width - 1)], above[x], below[x]
+            m, o = magnitude[y, x], orientation[y, x]
+            for s in range(lanes):
+                dx, dy = right[s] - left[s], down[s] - up[s]
+                m[s] = np.sqrt(dx * dx + dy * dy)
+                o[s] = direction(dx, dy)
+
+
+@kernel
+def scale_histogram(magnitude, orientation, histogram):  # type: ignore[no-untyped-def]
+    """Bilinear votes of gradients (h, w, lanes) into cells of 4×4.
 
     ``histogram`` (h/4 · w/4 + 1, 18, lanes) float32, its last cell for what falls outside the grid.
     """
-    height, width, lanes = samples.shape
+    height, width, lanes = magnitude.shape
     cells_y, cells_x = height // 4, width // 4
     outside = cells_y * cells_x
     histogram[:] = 0
     fractions = (np.float32(0.625), np.float32(0.875), np.float32(0.125), np.float32(0.375))
     one = np.float32(1)
-    magnitude, orientation = np.empty(lanes, np.float32), np.empty(lanes, np.uint8)
     for y in range(height):
-        above, row, below = samples[max(y - 1, 0)], samples[y], samples[min(y + 1, height - 1)]
         cy, lower = (y + 2) // 4, fractions[y % 4]  # votes go to cells cy - 1 and cy
         upper = one - lower
         for x in range(width):
-            left, right, up, down = row[max(x - 1, 0)], row[min(x + 1, width - 1)], above[x], below[x]
-            for s in range(lanes):
-                dx, dy = right[s] - left[s], down[s] - up[s]
-                magnitude[s] = np.sqrt(dx * dx + dy * dy)
-                orientation[s] = direction(dx, dy)
             cx, after = (x + 2) // 4, fractions[x % 4]
             before = one - after
             a = histogram[(cy - 1) * cells_x + cx - 1 if cy > 0 and cx > 0 else outside]
             b = histogram[(cy - 1) * cells_x + cx if cy > 0 and cx < cells_x else outside]
             c = histogram[cy * cells_x + cx - 1 if cy < cells_y and cx > 0 else outside]
             d = histogram[cy * cells_x + cx if cy < cells_y and cx < cells_x else outside]
-            for s in range(count):
-                o, vote = orientation[s], magnitude[s]
+            m, directions = magnitude[y, x], orientation[y, x]
+            for s in range(lanes):
+                o, vote = directions[s], m[s]
                 a[o, s] += upper * before * vote
                 b[o, s] += upper * after * vote
                 c[o, s] += lower * before * vote
@@ -109,10 +117,13 @@ def scale_histogram(samples, count, histogram):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def scale_norms(histogram, epsilon, norms):  # type: ignore[no-untyped-def]
-    """One over the energy's root of each block of 2×2 cells: ``norms`` (cells_y + 1, cells_x + 1, lanes)."""
+def scale_norms(histogram, epsilon, energy, norms):  # type: ignore[no-untyped-def]
+    """One over the energy's root of each block of 2×2 cells: ``norms`` (cells_y + 1, cells_x + 1, lanes).
+
+    ``energy`` (cells_y, cells_x, lanes) is scratch.
+    """
     cells_y, cells_x, lanes = norms.shape[0] - 1, norms.shape[1] - 1, norms.shape[2]
-    energy = np.zeros((cells_y, cells_x, lanes), np.float32)
+    energy[:] = 0
     for cy in range(cells_y):
         for cx in range(cells_x):
             cell, total = histogram[cy * cells_x + cx], energy[cy, cx]
@@ -132,25 +143,22 @@ def scale_norms(histogram, epsilon, norms):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def scale_features(histogram, norms, window, present, even, odd):  # type: ignore[no-untyped-def]
-    """fHOG of every scale times the window over scales, as even and odd part along scales.
+def scale_features(histogram, norms, window, texture, out):  # type: ignore[no-untyped-def]
+    """fHOG of every scale times the window over scales: ``out`` (cells, 31, lanes).
 
-    ``window`` (lanes,) has equal values at equal distances; ``even`` (cells · 31, M + 1) gets the scale of lane
-    ``present`` and the sums, ``odd`` (cells · 31, M) the differences larger - smaller.
+    ``window`` (lanes,) is 0 where a lane is none of the scales; ``texture`` (4, lanes) is scratch.
     """
     cells_y, cells_x, lanes = norms.shape[0] - 1, norms.shape[1] - 1, norms.shape[2]
     half = np.float32(0.5)
-    feature = np.empty(lanes, np.float32)
-    texture = np.empty((4, lanes), np.float32)
     t0, t1, t2, t3 = texture[0], texture[1], texture[2], texture[3]
     for cy in range(cells_y):
         for cx in range(cells_x):
-            cell, base = histogram[cy * cells_x + cx], (cy * cells_x + cx) * CHANNELS
+            cell, features = histogram[cy * cells_x + cx], out[cy * cells_x + cx]
             a, b = norms[cy, cx], norms[cy, cx + 1]
             c, d = norms[cy + 1, cx], norms[cy + 1, cx + 1]
             texture[:] = 0
             for o in range(SIGNED):
-                h = cell[o]
+                h, feature = cell[o], features[o]
                 for s in range(lanes):
                     va, vb = min(h[s] * a[s], CLIP), min(h[s] * b[s], CLIP)
                     vc, vd = min(h[s] * c[s], CLIP), min(h[s] * d[s], CLIP)
@@ -159,89 +167,65 @@ def scale_features(histogram, norms, window, present, even, odd):  # type: ignor
                     t2[s] += vc
                     t3[s] += vd
                     feature[s] = half * window[s] * (va + vb + vc + vd)
-                fold(feature, present, even[base + o], odd[base + o])
             for o in range(ORIENTATIONS):
-                first, second = cell[o], cell[o + ORIENTATIONS]
+                first, second, feature = cell[o], cell[o + ORIENTATIONS], features[SIGNED + o]
                 for s in range(lanes):
                     v = first[s] + second[s]
                     total = min(v * a[s], CLIP) + min(v * b[s], CLIP) + min(v * c[s], CLIP) + min(v * d[s], CLIP)
                     feature[s] = half * window[s] * total
-                fold(feature, present, even[base + SIGNED + o], odd[base + SIGNED + o])
             for k in range(4):
-                t = texture[k]
+                t, feature = texture[k], features[SIGNED + ORIENTATIONS + k]
                 for s in range(lanes):
                     feature[s] = TEXTURE * window[s] * t[s]
-                channel = base + SIGNED + ORIENTATIONS + k
-                fold(feature, present, even[channel], odd[channel])
-
-
-@kernel
-def fold(values, present, even, odd):  # type: ignore[no-untyped-def]
-    """Present value and sums into ``even`` (M + 1,), differences into ``odd`` (M,)."""
-    side = odd.size
-    even[0] = values[present]
-    for j in range(side):
-        even[1 + j] = values[side + j] + values[j]
-        odd[j] = values[side + j] - values[j]
 
 
 @kernel
 def scale_hog(  # type: ignore[no-untyped-def]
-    gray, center_x, center_y, step_x, step_y, present, epsilon, window, quads, samples, histogram, norms, even, odd
-):
+    gray, center_x, center_y, step_x, step_y, epsilon, window,
+    quads, samples, magnitude, orientation, histogram, energy, norms, texture, out,
+):  # fmt: skip
     """From a grey picture to the features of every scale in one call; scratch as its parts want it."""
     pack_quads(gray, quads)
     sample_scales(quads, center_x, center_y, step_x, step_y, samples)
-    scale_histogram(samples, max(present + 1, 2 * odd.shape[1]), histogram)
-    scale_norms(histogram, epsilon, norms)
-    scale_features(histogram, norms, window, present, even, odd)
+    scale_gradients(samples, magnitude, orientation)
+    scale_histogram(magnitude, orientation, histogram)
+    scale_norms(histogram, epsilon, energy, norms)
+    scale_features(histogram, norms, window, texture, out)
 
 
 @kernel
-def respond_scales(  # type: ignore[no-untyped-def]
-    spectra, sums, mean, mean_sums, label_f, energy, regularization, response_f
-):
-    """Equation 3 along scales: Σ over features of conj(mean) · spectrum · label / (energy + λ).
+def respond_scales(spectra, mean, label_f, energy, regularization, products, response_f):  # type: ignore[no-untyped-def]
+    """Equation 3 along scales: ``response_f`` (half,) ← label / (energy + λ) · Σ conj(mean) · spectrum over features.
 
-    ``spectra`` (features, 2 M) float32 holds M cosine sums and M sine sums of each feature, ``sums`` (features,)
-    frequency 0, and so do the means; ``label_f`` and ``energy`` (M + 1,) have frequency 0 last.
-    ``response_f`` (2 M + 1,): M cosine, M sine sums and frequency 0 of the response.
+    ``spectra`` and ``mean`` (cells, 31, half) complex64; ``products`` (31, half) complex64 is scratch.
     """
-    side = response_f.size // 2
-    real, imaginary, constant = np.zeros(side, np.float32), np.zeros(side, np.float32), np.float32(0)
-    for d in range(spectra.shape[0]):
-        z, a = spectra[d], mean[d]
-        for k in range(side):
-            real[k] += a[k] * z[k] + a[side + k] * z[side + k]
-            imaginary[k] += a[k] * z[side + k] - a[side + k] * z[k]
-        constant += mean_sums[d] * sums[d]
-    for k in range(side):
-        gain = label_f[k] / (energy[k] + regularization)
-        response_f[k] = real[k] * gain
-        response_f[side + k] = imaginary[k] * gain
-    response_f[2 * side] = constant * label_f[side] / (energy[side] + regularization)
+    products[:] = 0
+    total = products.ravel()
+    for cell in range(spectra.shape[0]):
+        z, a = spectra[cell].ravel(), mean[cell].ravel()
+        for i in range(total.size):
+            total[i] += np.conj(a[i]) * z[i]
+    for k in range(response_f.size):
+        response_f[k] = products[:, k].sum() * (label_f[k] / (energy[k] + regularization))
 
 
 @kernel
-def learn_scales(spectra, sums, angles, rate, mean, mean_sums, energy):  # type: ignore[no-untyped-def]
-    """Running means of the spectra, as :func:`respond_scales` takes them, and of their energy.
+def learn_scales(spectra, phase, rate, mean, energy, turns, squares):  # type: ignore[no-untyped-def]
+    """Running means of ``spectra`` (cells, 31, half) and of their ``energy`` (half,), Σ |spectrum|² over features.
 
-    Each frequency is turned by its angle of ``angles`` (M,), which moves the spectra along the scales. ``energy``
-    (M + 1,) is Σ |spectrum|² over features, frequency 0 last.
+    Each frequency is turned by its ``phase`` (half,), which moves the spectra along the scales. ``turns`` (31, half)
+    complex64 and ``squares`` (31, half) are scratch.
     """
-    side = energy.size - 1
     keep = np.float32(1) - rate
-    cosines, sines = np.cos(angles), np.sin(angles)
-    squares, constant = np.zeros(side, np.float32), np.float32(0)
-    for d in range(spectra.shape[0]):
-        z, a = spectra[d], mean[d]
-        for k in range(side):
-            real, imaginary, c, s = z[k], z[side + k], cosines[k], sines[k]
-            squares[k] += real * real + imaginary * imaginary
-            a[k] = keep * a[k] + rate * (real * c + imaginary * s)
-            a[side + k] = keep * a[side + k] + rate * (imaginary * c - real * s)
-        constant += sums[d] * sums[d]
-        mean_sums[d] = keep * mean_sums[d] + rate * sums[d]
-    for k in range(side):
-        energy[k] = keep * energy[k] + rate * squares[k]
-    energy[side] = keep * energy[side] + rate * constant
+    for channel in range(turns.shape[0]):
+        for k in range(phase.size):
+            turns[channel, k] = rate * phase[k]
+    squares[:] = 0
+    factor, total = turns.ravel(), squares.ravel()
+    for cell in range(spectra.shape[0]):
+        z, a = spectra[cell].ravel(), mean[cell].ravel()
+        for i in range(total.size):
+            total[i] += z[i].real * z[i].real + z[i].imag * z[i].imag
+            a[i] = keep * a[i] + factor[i] * z[i]
+    for k in range(energy.size):
+        energy[k] = keep * energy[k] + rate * squares[:, k].sum()
