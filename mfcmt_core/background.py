@@ -37,7 +37,7 @@ class BackgroundAwareFilter:
         self.label = (np.conj(label_f) / n**2).astype(np.complex64)
         self.filters = np.zeros((channels, n, half), np.complex64)
         self.unmasked = np.zeros((channels, n, half), np.complex64)
-        self.all_channels = np.array([[0, channels]], np.int64)
+        self.all_channels = np.array([0, channels], np.int64)
         frequencies, cells = np.arange(n), [_middle(n, side) for side in window.target]
         rows = np.exp(2j * np.pi / n * np.outer(cells[1], frequencies))
         self.rows_back, self.rows = rows.astype(np.complex64), rows.conj().T.astype(np.complex64)
@@ -50,7 +50,7 @@ class BackgroundAwareFilter:
     def train(self, mean: Spectra, first: bool = False) -> None:
         """Solve for the running ``mean`` of the target's spectra, (channels, n, n // 2 + 1) complex64."""
         power = scratch("background_power", mean.shape[1:])
-        energy(mean, self.all_channels[0], power)
+        energy(mean, self.all_channels, power)
         power /= mean.shape[1] ** 2
         before = np.float32(PENALTIES[-1])
         if first:

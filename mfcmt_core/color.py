@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from .config import MFCMTConfig
 from .geometry import CELL, Image, SearchWindow
-from .kernels.color import bin_gray, bin_pixels, box_means, learn_colors, look_up, tabulate
+from .kernels.color import bin_gray, learn_colors, likelihood_map, tabulate
 from .workspace import scratch
 
 Bins = npt.NDArray[np.uint16]
@@ -53,25 +54,23 @@ class ColorModel:
         self.columns = np.clip((side - bw) // 2 + steps_x, 0, side - bw)
         self.rows = np.clip((side - bh) // 2 + steps_y, 0, side - bh)
 
-    def respond(self, bins: Bins, out: npt.NDArray[np.float32]) -> float:
-        """Mean likelihood of the target's box at each displacement into ``out``; its highest value, in [0, 1]."""
+    def respond(self, bins: Bins, out: npt.NDArray[np.float32]) -> None:
+        """Mean likelihood of the target's box at each displacement into ``out``, in [0, 1]."""
         height, width = bins.shape
         integral = scratch("integral", (height + 1, width + 1))
-        look_up(bins, self.lookup, integral)
-        box_means(integral, self.rows, self.columns, self.box[1], self.box[0], out)
-        return float(out.max())
+        likelihood_map(bins, self.lookup, integral, self.rows, self.columns, self.box[1], self.box[0], out)
 
     def learn(self, bins: Bins, offset: tuple[float, float] = (0, 0), first: bool = False) -> None:
         """Move both histograms towards those of a patch of the target (equation 11), ``offset`` (x, y) cells off it."""
         rate = np.float32(1) if first else self.rate
         self._fade(np.float32(1) - rate)
-        inner, outer = _moved(self.inner, offset, len(bins)), _moved(self.outer, offset, len(bins))
-        share = rate * self.gain[0]
-        one_f = share / np.float32(max(_area(inner), 1))
-        one_b = share / np.float32(max(bins.size - _area(outer), 1))
-        shown = scratch("colors_shown", bins.shape, np.uint16).ravel()
+        dx, dy = round(offset[0] * CELL), round(offset[1] * CELL)
+        shown = scratch("colors_shown", (bins.size,), np.uint16)
         counts = scratch("color_counts", self.lookup.shape, np.int64)  # nobody else's: always zero
-        learn_colors(bins, inner, outer, one_f, one_b, self.unseen, shown, counts, self.histograms, self.lookup)
+        learn_colors(
+            bins, self.inner, self.outer, dx, dy, rate, self.gain[0], self.unseen, shown, counts, self.histograms,
+            self.lookup,
+        )  # fmt: skip
 
     def _fade(self, keep: np.float32) -> None:
         """Multiply what is known by ``keep``."""
@@ -89,8 +88,10 @@ class ColorModel:
 
     def bins(self, patch: Image) -> Bins:
         """The histogram bin of each pixel of ``patch`` (H, W[, 3]), (H, W) uint16."""
-        bins = np.empty(patch.shape[:2], np.uint16)
-        (bin_gray if self.grey else bin_pixels)(patch, bins)
+        if not self.grey:  # five bits of each of red, green and blue, red lowest
+            return cv2.cvtColor(patch, cv2.COLOR_RGB2BGR555).view(np.uint16)[..., 0]
+        bins = np.empty(patch.shape, np.uint16)
+        bin_gray(patch, bins)
         return bins
 
 
@@ -99,15 +100,3 @@ def _centered(side: int, width: float, height: float) -> Rectangle:
     w, h = min(max(round(width), 1), side), min(max(round(height), 1), side)
     top, left = (side - h) // 2, (side - w) // 2
     return top, left, top + h, left + w
-
-
-def _area(rectangle: Rectangle) -> int:
-    top, left, bottom, right = rectangle
-    return (bottom - top) * (right - left)
-
-
-def _moved(rectangle: Rectangle, offset: tuple[float, float], side: int) -> Rectangle:
-    """Moved by ``offset`` (x, y) cells, as far as it stays in the patch."""
-    dx, dy = round(offset[0] * CELL), round(offset[1] * CELL)
-    top, left, bottom, right = rectangle
-    return max(top + dy, 0), max(left + dx, 0), min(bottom + dy, side), min(right + dx, side)

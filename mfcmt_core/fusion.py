@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from .config import MFCMTConfig
-from .kernels.fusion import find_peak, fuse_maps
+from .kernels.fusion import fuse_and_find
+from .workspace import scratch
 
 PSR_LEAVE_OUT = 5
 """Cells on each side of the peak that do not count as sidelobe: 11×11 in all."""
@@ -23,11 +24,15 @@ _FLOORS = {"clip": 0, "minimum": 1, "raw": 2}
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """The highest place of the fused map: displacement in cells (x, y), height, peak-to-sidelobe ratio."""
+    """The highest place of the fused map: displacement in cells (x, y), height, peak-to-sidelobe ratio.
+
+    ``tops`` are the highest values of the single responses.
+    """
 
     displacement: tuple[float, float]
     height: float
     psr: float
+    tops: list[float]
 
 
 def fuse(
@@ -40,6 +45,8 @@ def fuse(
 
     ``responses`` are probability maps afterwards. Sizes are odd. float32.
     """
-    fuse_maps(responses, weights, _FLOORS[config.probability], config.sharpness, fused)
-    y, x, height, psr = find_peak(fused, PSR_LEAVE_OUT)
-    return Peak((x - fused.shape[1] // 2, y - fused.shape[0] // 2), float(height), float(psr))
+    tops = scratch("tops", responses.shape[:1])
+    y, x, height, psr = fuse_and_find(
+        responses, weights, _FLOORS[config.probability], config.sharpness, PSR_LEAVE_OUT, tops, fused
+    )
+    return Peak((x - fused.shape[1] // 2, y - fused.shape[0] // 2), height, psr, tops.tolist())

@@ -65,7 +65,7 @@ class ScaleModel:
         self.inverse = (
             (np.exp(-1j * np.outer(fine / spacing, frequencies)) * twice).astype(np.complex64).view(np.float32)
         )
-        self.frequency_of_growth = frequencies / log(sample_step)
+        self.angle_of_growth = (frequencies / log(sample_step)).astype(np.float32)
         label = np.exp(-0.5 * (steps * spacing / (sqrt(config.num_scales) * config.scale_sigma_factor)) ** 2)
         self.label_f = (label @ np.cos(np.outer(steps, frequencies))).astype(np.float32)
         cells = (self.width // CELL) * (self.height // CELL)
@@ -84,9 +84,9 @@ class ScaleModel:
     def learn(self, spectra: Spectra, growth: float = 1.0, first: bool = False) -> None:
         """Move the filter towards the target, which is ``growth`` times the size that ``spectra`` were taken at."""
         rate = np.float32(1) if first else self.rate
-        phase = np.exp(1j * log(growth) * self.frequency_of_growth).astype(np.complex64)
+        angles = self.angle_of_growth * np.float32(log(growth))
         turns = scratch("scale_products", spectra.shape[1:], np.complex64)
-        learn_scales(spectra, phase, rate, self.mean, self.energy, turns, scratch("scale_squares", turns.shape))
+        learn_scales(spectra, angles, rate, self.mean, self.energy, turns, scratch("scale_squares", turns.shape))
 
     def adopt(self, waves: Reals, sums: Reals, energy: Reals) -> None:
         """Take over a filter whose frequencies from 1 on are cosine sums, then sine sums, each padded to lanes.

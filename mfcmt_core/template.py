@@ -12,7 +12,14 @@ from .config import MFCMTConfig
 from .features import FeatureStack
 from .fourier import Spectra, Transform
 from .geometry import Image, SearchWindow
-from .kernels.template import divide_label, energy, learn_filters, learn_spectra, respond_filters, turn
+from .kernels.template import (
+    divide_label,
+    energy,
+    follow_spectra,
+    learn_filters,
+    respond_filters,
+    turn,
+)
 from .workspace import scratch
 
 
@@ -49,50 +56,49 @@ class TemplateModel:
         self.denominator = np.zeros((len(blocks), *shape[1:]), np.float32)
         self.gain = np.ones((len(blocks), *shape[1:]), np.complex64)
         self.background: BackgroundAwareFilter | None = None
+        self.background_filters = self.mean[:0]
         self.interval = config.background_interval
         if self.interval:
             self.background = BackgroundAwareFilter(window, shape[0], self.label_f, config.regularization)
+            self.background_filters = self.background.filters
             self.names += ("background",)
 
     def spectra(self, patch: Image, gray: Image) -> Spectra:
         """Half spectra of the windowed features of ``patch``, (channels, n, n // 2 + 1) complex64."""
         return self.transform.forward(self.features.extract(patch, gray))
 
-    def respond(self, spectra: Spectra, out: npt.NDArray[np.float32]) -> float:
-        """Responses within reach into ``out`` (models, 2·ry + 1, 2·rx + 1); the mean of the ridge filters' peaks."""
-        models = len(self.blocks)
+    def respond(self, spectra: Spectra, out: npt.NDArray[np.float32]) -> None:
+        """Responses within reach into ``out`` (maps, 2·ry + 1, 2·rx + 1), in the order of ``names``."""
         response_f = scratch("response_f", (len(self.names), *spectra.shape[1:]), np.complex64)
-        respond_filters(self.mean, spectra, self.blocks, response_f[:models])
-        response_f[:models] *= self.gain
-        if self.background:
-            respond_filters(self.background.filters, spectra, self.background.all_channels, response_f[models:])
+        respond_filters(self.mean, self.gain, self.blocks, self.background_filters, spectra, response_f)
         self.transform.backward(response_f, out)
-        return float(sum(response.max() for response in out[:models]) / models)
 
     def respond_by_cue(self, spectra: Spectra) -> dict[str, npt.NDArray[np.float32]]:
         """What each cue adds to the response of a joint filter, (2·ry + 1, 2·rx + 1), by cue: to look at."""
         blocks = np.array([(b.start, b.stop) for b in self.features.blocks.values()], np.int64)
         parts_f = np.empty((len(blocks), *spectra.shape[1:]), np.complex64)
-        respond_filters(self.mean, spectra, blocks, parts_f)
-        parts_f *= self.gain
+        gain = np.broadcast_to(self.gain, parts_f.shape)  # of a joint filter they have it in common
+        respond_filters(self.mean, np.ascontiguousarray(gain), blocks, self.mean[:0], spectra, parts_f)
         parts = np.empty((len(blocks), 2 * self.transform.reach[1] + 1, 2 * self.transform.reach[0] + 1), np.float32)
         self.transform.backward(parts_f, parts)
         return dict(zip(self.features.blocks, parts, strict=True))
 
-    def learn(self, spectra: Spectra, offset: tuple[float, float] = (0, 0), learned: int | None = None) -> None:
+    def learn(self, spectra: Spectra, offset: tuple[float, float] = (0.0, 0.0), learned: int | None = None) -> None:
         """Learn a patch of the target at the learning rate (equation 11), or at 1 the first time.
 
         ``offset`` (x, y) in cells is where in the patch the target's centre is; ``spectra`` are turned to have it
         in the middle. ``learned`` counts the frames learned before this one since the first; None is the first.
         """
-        if any(offset):
-            turn(spectra, *offset)
         first = learned is None
         rate = np.float32(1) if first else self.rate
         if self.average == "spectra":
-            learn_spectra(spectra, self.blocks, rate, self.mean, self.denominator)
-            self.refresh()
+            blocks, label_f, regularization = self.blocks, self.label_f, self.regularization
+            follow_spectra(
+                spectra, *offset, blocks, rate, label_f, regularization, self.mean, self.denominator, self.gain
+            )
         else:
+            if any(offset):
+                turn(spectra, *offset)
             energies = scratch("energies", self.denominator.shape)
             for block, out in zip(self.blocks, energies, strict=True):
                 energy(spectra, block, out)

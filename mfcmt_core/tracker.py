@@ -217,12 +217,15 @@ class MFCMT:
     def _detect(self, target: Target, frame: Frame, seen: Observation) -> Found:
         """Lines 5–7 of Algorithm 1: respond, fuse, take the peak."""
         responses, fused = target.maps()
-        template = statistical = 1.0
+        models = 0
         if target.template:
-            template = target.template.respond(seen.spectra, responses[: len(target.template.names)])
+            models = len(target.template.blocks)
+            target.template.respond(seen.spectra, responses[: len(target.template.names)])
         if target.color:
-            statistical = target.color.respond(seen.bins, responses[-1])
+            target.color.respond(seen.bins, responses[-1])
         peak = fuse(responses, target.map_weights, self.config, fused)
+        template = sum(peak.tops[:models]) / models if models else 1.0
+        statistical = peak.tops[-1] if target.color else 1.0
         x, y = seen.displaced(peak.displacement)
         center = (min(max(x, 0.0), float(frame.size[0])), min(max(y, 0.0), float(frame.size[1])))
         return Found(center, Peaks(peak.height, template, statistical), peak.psr)

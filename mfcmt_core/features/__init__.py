@@ -69,7 +69,7 @@ class FeatureStack:
                 scratch("magnitude", (side, side)),
                 scratch("orientation", (side, side), np.uint8),
                 scratch("rows", (4, SIGNED, n + 2)),
-                scratch("cells", (n, SIGNED, n)),
+                scratch("cells", (n, SIGNED, n + 2)),
                 scratch("norms", (n + 1, n + 1)),
                 out,
             )

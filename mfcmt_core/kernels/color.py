@@ -8,19 +8,6 @@ from ._jit import kernel
 
 
 @kernel
-def bin_pixels(patch, bins):  # type: ignore[no-untyped-def]
-    """Index of each pixel's cell of the 32×32×32 RGB cube: ``bins`` (H, W) uint16 ← ``patch`` (H, W, 3) BGR."""
-    height, width = bins.shape
-    for y in range(height):
-        for x in range(width):
-            bins[y, x] = (
-                (np.int32(patch[y, x, 2]) >> 3)
-                | ((np.int32(patch[y, x, 1]) >> 3) << 5)
-                | ((np.int32(patch[y, x, 0]) >> 3) << 10)
-            )
-
-
-@kernel
 def bin_gray(patch, bins):  # type: ignore[no-untyped-def]
     """Index of each grey pixel among 32 bins: ``bins`` (H, W) uint16 ← ``patch`` (H, W) uint8."""
     height, width = bins.shape
@@ -39,17 +26,30 @@ def count_color(bin_, one, number, counts, shown):  # type: ignore[no-untyped-de
 
 
 @kernel
+def shift(rectangle, dx, dy, height, width):  # type: ignore[no-untyped-def]
+    """``(top, left, bottom, right)`` moved by so many pixels, as far as it stays in the patch; its area, 1 at least."""
+    top, left = max(rectangle[0] + dy, 0), max(rectangle[1] + dx, 0)
+    bottom, right = min(rectangle[2] + dy, height), min(rectangle[3] + dx, width)
+    return (top, left, bottom, right), max((bottom - top) * (right - left), 1)
+
+
+@kernel
 def learn_colors(  # type: ignore[no-untyped-def]
-    bins, inner, outer, one_f, one_b, unseen, shown, counts, histograms, lookup
+    bins, inner, outer, dx, dy, rate, gain, unseen, shown, counts, histograms, lookup
 ):
     """Equation 11 on the colours of a patch: each pixel adds to its bin of a region's histogram.
 
-    ``inner`` and ``outer`` are ``(top, left, bottom, right)``: pixels inside ``inner`` are foreground and add
-    ``one_f``, those outside ``outer`` background and add ``one_b``, those between neither. ``histograms`` (bins, 2)
-    float32 holds both, ``lookup`` what :func:`likelihood` makes of them: no bin is touched that is not shown.
-    ``shown`` (pixels,) uint16 is scratch; ``counts`` (bins,) int64, a count in either half, is 0 before and after.
+    ``inner`` and ``outer`` are ``(top, left, bottom, right)``, moved by ``dx``, ``dy`` pixels: pixels inside
+    ``inner`` are foreground, those outside ``outer`` background, those between neither; a region adds
+    ``rate · gain`` in all. ``histograms`` (bins, 2) float32 holds both, ``lookup`` what :func:`likelihood` makes of
+    them: no bin is touched that is not shown. ``shown`` (pixels,) uint16 is scratch; ``counts`` (bins,) int64, a
+    count in either half, is 0 before and after.
     """
     height, width = bins.shape
+    inner, front = shift(inner, dx, dy, height, width)
+    outer, covered = shift(outer, dx, dy, height, width)
+    one_f = rate * gain / np.float32(front)
+    one_b = rate * gain / np.float32(max(height * width - covered, 1))
     number = np.uint64(0)
     in_front, behind = np.int64(1), np.int64(1) << 32
     for y in range(height):
@@ -110,3 +110,10 @@ def box_means(integral, rows, columns, box_height, box_width, out):  # type: ign
         for j in range(columns.size):
             left, right = columns[j], columns[j] + box_width
             out[i, j] = (bottom[right] - bottom[left] - top[right] + top[left]) * scale
+
+
+@kernel
+def likelihood_map(bins, lookup, integral, rows, columns, box_height, box_width, out):  # type: ignore[no-untyped-def]
+    """:func:`look_up` and :func:`box_means` in one call."""
+    look_up(bins, lookup, integral)
+    box_means(integral, rows, columns, box_height, box_width, out)

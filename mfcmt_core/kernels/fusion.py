@@ -8,8 +8,10 @@ from ._jit import kernel
 
 
 @kernel
-def fuse_maps(responses, weights, floor, power, fused):  # type: ignore[no-untyped-def]
+def fuse_maps(responses, weights, floor, power, tops, fused):  # type: ignore[no-untyped-def]
     """``responses`` (maps, rows, columns) float32 become probability maps in place, ``fused`` their mean.
+
+    ``tops`` (maps,) float32 gets the highest value of each before that.
 
     ``floor`` 0: negatives are clipped; 1: the minimum is subtracted; 2: responses stay as they are. Then
     each map is raised to ``power`` and divided by its sum, unless ``floor`` is 2. A flat map becomes uniform.
@@ -22,6 +24,11 @@ def fuse_maps(responses, weights, floor, power, fused):  # type: ignore[no-untyp
     for m in range(maps):
         r = responses[m]
         weight = weights[m] / total_weight
+        top = r[0, 0]
+        for i in range(rows):
+            for j in range(columns):
+                top = max(top, r[i, j])
+        tops[m] = top
         if floor < 2:
             low = np.float32(0)
             if floor == 1:
@@ -86,3 +93,10 @@ def find_peak(fused, leave_out):  # type: ignore[no-untyped-def]
         if variance > 1e-12:
             psr = (1.0 - mean) / np.sqrt(variance)
     return y, x, np.float64(height), psr
+
+
+@kernel
+def fuse_and_find(responses, weights, floor, power, leave_out, tops, fused):  # type: ignore[no-untyped-def]
+    """:func:`fuse_maps` and :func:`find_peak` in one call."""
+    fuse_maps(responses, weights, floor, power, tops, fused)
+    return find_peak(fused, leave_out)

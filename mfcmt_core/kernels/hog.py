@@ -53,22 +53,26 @@ def gradients(gray, magnitude, orientation):  # type: ignore[no-untyped-def]
 
 @kernel
 def histogram_cells(magnitude, orientation, rows, histogram):  # type: ignore[no-untyped-def]
-    """Bilinear votes of pixels into cells of 4×4: ``histogram`` (cells_y, 18, cells_x) float32.
+    """Bilinear votes of pixels into cells of 4×4: ``histogram`` (cells_y, 18, cells_x + 2) float32.
 
-    ``rows`` (4, 18, cells_x + 2) float32 is scratch: four rows of pixels vote into four buffers, which keeps
-    consecutive additions to the same bin apart.
+    Its first and last column take what falls outside. ``rows`` (4, 18, cells_x + 2) float32 is scratch: four rows of
+    pixels vote into four buffers, which keeps consecutive additions to the same bin apart.
     """
-    cells_y, bins, cells_x = histogram.shape
+    cells_y, _, columns = histogram.shape
     histogram[:] = 0
     fractions = (np.float32(0.625), np.float32(0.875), np.float32(0.125), np.float32(0.375))
+    one = np.float32(1)
+    down_0, down_1, down_2, down_3 = fractions
+    up_0, up_1, up_2, up_3 = one - down_0, one - down_1, one - down_2, one - down_3
+    r0, r1, r2, r3 = rows[0].ravel(), rows[1].ravel(), rows[2].ravel(), rows[3].ravel()
     # pixel p of a cell votes (1 - f) to the cell at `first` and f to the next; p = 0, 1 lean to the left
     for group in range(cells_y):
         rows[:] = 0
         y = 4 * group
-        for cx in range(cells_x):
+        for cx in range(columns - 2):
             for p in range(4):
                 right = fractions[p]
-                left = np.float32(1) - right
+                left = one - right
                 first = cx + (p >> 1)  # index into rows, whose column 0 is the cell left of the first
                 x = 4 * cx + p
                 for r in range(4):
@@ -76,29 +80,28 @@ def histogram_cells(magnitude, orientation, rows, histogram):  # type: ignore[no
                     vote = magnitude[y + r, x]
                     rows[r, bin_, first] += left * vote
                     rows[r, bin_, first + 1] += right * vote
-        for r in range(4):
-            lower = fractions[r]
-            upper = np.float32(1) - lower
-            first = group - 1 + (r >> 1)
-            if first >= 0:
-                for o in range(bins):
-                    for cx in range(cells_x):
-                        histogram[first, o, cx] += upper * rows[r, o, cx + 1]
-            if first + 1 < cells_y:
-                for o in range(bins):
-                    for cx in range(cells_x):
-                        histogram[first + 1, o, cx] += lower * rows[r, o, cx + 1]
+        here = histogram[group].ravel()
+        for i in range(here.size):
+            here[i] += down_0 * r0[i] + down_1 * r1[i] + up_2 * r2[i] + up_3 * r3[i]
+        if group > 0:
+            above = histogram[group - 1].ravel()
+            for i in range(above.size):
+                above[i] += up_0 * r0[i] + up_1 * r1[i]
+        if group + 1 < cells_y:
+            below = histogram[group + 1].ravel()
+            for i in range(below.size):
+                below[i] += down_2 * r2[i] + down_3 * r3[i]
 
 
 @kernel
 def normalize_cells(histogram, window, epsilon, norms, first, out):  # type: ignore[no-untyped-def]
-    """Block-normalise, clip and window ``histogram`` (cells_y, 18, cells_x): 31 planes from ``first`` on of ``out``.
+    """Block-normalise, clip and window the cells of :func:`histogram_cells`: 31 planes from ``first`` on of ``out``.
 
     ``out`` (cells_y, channels, cells_x); ``window`` (cells_y, cells_x) multiplies every channel; ``epsilon`` is
     added to each block's energy; ``norms`` (cells_y + 1, cells_x + 1) is scratch. Blocks beyond the border repeat
     the last cell.
     """
-    cells_y, bins, cells_x = histogram.shape
+    cells_y, bins, cells_x = histogram.shape[0], histogram.shape[1], histogram.shape[2] - 2
     half = bins // 2
     previous = np.zeros(cells_x, np.float32)
     current = np.zeros(cells_x, np.float32)
@@ -107,7 +110,7 @@ def normalize_cells(histogram, window, epsilon, norms, first, out):  # type: ign
             current[:] = 0
             for o in range(half):
                 for cx in range(cells_x):
-                    e = histogram[cy, o, cx] + histogram[cy, o + half, cx]
+                    e = histogram[cy, o, cx + 1] + histogram[cy, o + half, cx + 1]
                     current[cx] += e * e
         if cy == 0:
             previous[:] = current
@@ -123,7 +126,7 @@ def normalize_cells(histogram, window, epsilon, norms, first, out):  # type: ign
         up, down, win = norms[cy], norms[cy + 1], window[cy]
         texture[:] = 0
         for o in range(bins):
-            h = histogram[cy, o]
+            h = histogram[cy, o, 1:]
             target = out[cy, first + o]
             for cx in range(cells_x):
                 a = min(h[cx] * up[cx], CLIP)
@@ -136,7 +139,7 @@ def normalize_cells(histogram, window, epsilon, norms, first, out):  # type: ign
                 texture[2, cx] += c
                 texture[3, cx] += d
         for o in range(half):
-            h1, h2 = histogram[cy, o], histogram[cy, o + half]
+            h1, h2 = histogram[cy, o, 1:], histogram[cy, o + half, 1:]
             target = out[cy, first + bins + o]
             for cx in range(cells_x):
                 s = h1[cx] + h2[cx]

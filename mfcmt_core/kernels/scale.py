@@ -210,16 +210,15 @@ def respond_scales(spectra, mean, label_f, energy, regularization, products, res
 
 
 @kernel
-def learn_scales(spectra, phase, rate, mean, energy, turns, squares):  # type: ignore[no-untyped-def]
+def learn_scales(spectra, angles, rate, mean, energy, turns, squares):  # type: ignore[no-untyped-def]
     """Running means of ``spectra`` (cells, 31, half) and of their ``energy`` (half,), Σ |spectrum|² over features.
 
-    Each frequency is turned by its ``phase`` (half,), which moves the spectra along the scales. ``turns`` (31, half)
-    complex64 and ``squares`` (31, half) are scratch.
+    Each frequency is turned by its angle of ``angles`` (half,), which moves the spectra along the scales. ``turns``
+    (31, half) complex64 and ``squares`` (31, half) are scratch.
     """
     keep = np.float32(1) - rate
-    for channel in range(turns.shape[0]):
-        for k in range(phase.size):
-            turns[channel, k] = rate * phase[k]
+    for k in range(angles.size):
+        turns[:, k] = rate * np.complex64(complex(np.cos(angles[k]), np.sin(angles[k])))
     squares[:] = 0
     factor, total = turns.ravel(), squares.ravel()
     for cell in range(spectra.shape[0]):

@@ -11,18 +11,30 @@ from ._jit import kernel
 
 
 @kernel
-def respond_filters(filters, spectra, blocks, response_f):  # type: ignore[no-untyped-def]
-    """The sum of equation 3: ``response_f[m]`` ← Σ conj(filter) · spectrum over the channels of block m.
+def correlate(filters, spectra, first, last, response_f):  # type: ignore[no-untyped-def]
+    """``response_f`` (n, n // 2 + 1) ← Σ conj(filter) · spectrum over the channels from ``first`` to ``last`` - 1."""
+    total = response_f.ravel()
+    total[:] = 0
+    for channel in range(first, last):
+        w, z = filters[channel].ravel(), spectra[channel].ravel()
+        for k in range(total.size):
+            total[k] += np.conj(w[k]) * z[k]
 
-    ``blocks`` (models, 2) int64 holds each model's first and one past its last channel.
+
+@kernel
+def respond_filters(mean, gain, blocks, background, spectra, response_f):  # type: ignore[no-untyped-def]
+    """Equation 3 for every template model: ``response_f`` (models, n, n // 2 + 1) complex64.
+
+    ``blocks`` (ridge models, 2) int64 holds the first and one past the last channel of each ridge filter, which is
+    ``mean`` times ``gain``; ``background`` is the filter of the last model, without channels where there is none.
     """
     for m in range(blocks.shape[0]):
-        total = response_f[m].ravel()
-        total[:] = 0
-        for channel in range(blocks[m, 0], blocks[m, 1]):
-            w, z = filters[channel].ravel(), spectra[channel].ravel()
-            for k in range(total.size):
-                total[k] += np.conj(w[k]) * z[k]
+        correlate(mean, spectra, blocks[m, 0], blocks[m, 1], response_f[m])
+        total, factor = response_f[m].ravel(), gain[m].ravel()
+        for k in range(total.size):
+            total[k] *= factor[k]
+    if background.shape[0] > 0:
+        correlate(background, spectra, 0, spectra.shape[0], response_f[-1])
 
 
 @kernel
@@ -102,3 +114,14 @@ def learn_spectra(spectra, blocks, rate, mean, denominator):  # type: ignore[no-
             for k in range(total.size):
                 a[k] = keep * a[k] + rate * z[k]
                 total[k] += rate * (z[k].real * z[k].real + z[k].imag * z[k].imag)
+
+
+@kernel
+def follow_spectra(  # type: ignore[no-untyped-def]
+    spectra, dx, dy, blocks, rate, label_f, regularization, mean, denominator, gain
+):
+    """:func:`turn`, :func:`learn_spectra` and :func:`divide_label` in one call."""
+    if dx != 0 or dy != 0:
+        turn(spectra, dx, dy)
+    learn_spectra(spectra, blocks, rate, mean, denominator)
+    divide_label(label_f, denominator, regularization, gain)
