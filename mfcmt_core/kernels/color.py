@@ -28,8 +28,8 @@ def count_color(bin_, one, number, counts, shown):  # type: ignore[no-untyped-de
 @kernel
 def shift(rectangle, dx, dy, height, width):  # type: ignore[no-untyped-def]
     """``(top, left, bottom, right)`` moved by so many pixels, as far as it stays in the patch; its area, 1 at least."""
-    top, left = max(rectangle[0] + dy, 0), max(rectangle[1] + dx, 0)
-    bottom, right = min(rectangle[2] + dy, height), min(rectangle[3] + dx, width)
+    top, bottom = min(max(rectangle[0] + dy, 0), height), min(max(rectangle[2] + dy, 0), height)
+    left, right = min(max(rectangle[1] + dx, 0), width), min(max(rectangle[3] + dx, 0), width)
     return (top, left, bottom, right), max((bottom - top) * (right - left), 1)
 
 

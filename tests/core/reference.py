@@ -111,6 +111,11 @@ def integral(bins, lookup):
     return np.pad(lookup[bins].astype(float), ((1, 0), (1, 0))).cumsum(0).cumsum(1)
 
 
+def shift(rectangle, dx, dy, height, width):
+    """``(top, left, bottom, right)`` moved, as far as it stays inside."""
+    return tuple(int(v) for v in np.clip(np.add(rectangle, (dy, dx, dy, dx)), 0, (height, width, height, width)))
+
+
 def box_means(likelihood, rows, columns, height, width):
     return np.array([[likelihood[r : r + height, c : c + width].mean() for c in columns] for r in rows])
 

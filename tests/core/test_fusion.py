@@ -23,6 +23,12 @@ def run(maps, weights=None, config=CONFIG):
     return maps.astype(float), fused.astype(float), peak
 
 
+def test_the_highest_response_of_each_map_is_told():
+    """What the reliability tests look at, before a response becomes a probability."""
+    maps = np.random.default_rng(3).normal(size=(4, 7, 9)).astype(np.float32)
+    assert run(maps)[2].tops == maps.max((1, 2)).tolist()
+
+
 def objective(maps, weights, q):
     """Equation 9, weighted: Σ w_l KL(P_l ‖ Q), with 0 · log 0 = 0."""
     total = 0.0

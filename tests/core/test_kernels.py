@@ -58,9 +58,9 @@ def test_histogram_cells(gray, shape):
     magnitude, orientation = np.empty(shape, np.float32), np.empty(shape, np.uint8)
     hog.gradients(patch_of(gray, *shape), magnitude, orientation)
     cells_y, cells_x = shape[0] // 4, shape[1] // 4
-    histogram = np.full((cells_y, 18, cells_x), np.nan, np.float32)
+    histogram = np.full((cells_y, 18, cells_x + 2), np.nan, np.float32)
     hog.histogram_cells(magnitude, orientation, np.full((4, 18, cells_x + 2), np.nan, np.float32), histogram)
-    close(histogram, reference.histogram_cells(magnitude, orientation))
+    close(histogram[..., 1:-1], reference.histogram_cells(magnitude, orientation))
 
 
 @pytest.mark.parametrize("epsilon", [1e-4, 10.0])
@@ -73,7 +73,8 @@ def test_normalize_cells(gray, shape, epsilon):
     window = np.random.default_rng(0).random((cells_y, cells_x)).astype(np.float32)
     out = np.full((cells_y, 1 + hog.CHANNELS, cells_x), np.nan, np.float32)
     norms = np.full((cells_y + 1, cells_x + 1), np.nan, np.float32)
-    normalize_cells(histogram, window, np.float32(epsilon), norms, 1, out)
+    bordered = np.pad(histogram, ((0, 0), (0, 0), (1, 1)), constant_values=np.nan)
+    normalize_cells(bordered, window, np.float32(epsilon), norms, 1, out)
     close(np.moveaxis(out[:, 1:], 1, 0), reference.normalize_cells(histogram, window, epsilon))
     assert np.isnan(out[:, 0]).all()
 
@@ -99,21 +100,19 @@ def test_hog_cells(gray):
     patch = patch_of(gray, 32, 60)
     window = np.random.default_rng(0).random((8, 15)).astype(np.float32)
     magnitude, orientation = np.empty((32, 60), np.float32), np.empty((32, 60), np.uint8)
-    scratch = (np.empty((4, 18, 17), np.float32), np.empty((8, 18, 15), np.float32), np.empty((9, 16), np.float32))
+    scratch = (np.empty((4, 18, 17), np.float32), np.empty((8, 18, 17), np.float32), np.empty((9, 16), np.float32))
     out, expected = np.zeros((2, 8, 32, 15), np.float32)
     hog.hog_cells(patch, window, np.float32(1), 1, magnitude, orientation, *scratch, out)
     normalize_cells(scratch[1], window, np.float32(1), scratch[2], 1, expected)
     close(out, expected)
-    close(scratch[1], reference.histogram_cells(magnitude, orientation))
+    close(scratch[1][..., 1:-1], reference.histogram_cells(magnitude, orientation))
 
 
 # --- colour ---
 
 
-def test_bins(picture, gray):
-    bins = np.empty(picture.shape[:2], np.uint16)
-    color.bin_pixels(picture, bins)
-    assert np.array_equal(bins, reference.bin_pixels(picture))
+def test_bin_gray(gray):
+    bins = np.empty(gray.shape, np.uint16)
     color.bin_gray(gray, bins)
     assert np.array_equal(bins, reference.bin_gray(gray))
 
@@ -127,20 +126,32 @@ def test_bins(picture, gray):
         ((10, 48, 90, 52), (0, 45, 100, 55)),
     ],
 )
-@pytest.mark.parametrize("rate", [0.0, 0.04, 1.0])
-def test_learn_colors(picture, inner, outer, rate):
+@pytest.mark.parametrize(("rate", "gain"), [(0.0, 1.0), (0.04, 1.0), (0.04, 25.0), (1.0, 1.0)])
+@pytest.mark.parametrize("moved", [(0, 0), (3, -7), (-60, 45)])
+def test_learn_colors(picture, inner, outer, moved, rate, gain):
     bins = reference.bin_pixels(patch_of(picture, 100, 100)).astype(np.uint16)
     histograms = (np.random.default_rng(1).random((32**3, 2)) / 1000).astype(np.float32)
     before, lookup = histograms.copy(), np.full(32**3, -1, np.float32)
-    added = reference.count_colors(bins, inner, outer, 32**3)
-    ones = [np.float32(rate / max(count.sum(), 1)) for count in added]
+    added = reference.count_colors(bins, *(reference.shift(r, *moved, 100, 100) for r in (inner, outer)), 32**3)
+    ones = [np.float32(rate * gain / max(count.sum(), 1)) for count in added]
     counts, shown = np.zeros(32**3, np.int64), np.empty(100 * 100, np.uint16)
-    color.learn_colors(bins, inner, outer, *ones, np.float32(0), shown, counts, histograms, lookup)
+    rate, gain, unseen = np.float32([rate, gain, 0])
+    color.learn_colors(bins, inner, outer, *moved, rate, gain, unseen, shown, counts, histograms, lookup)
     assert not counts.any()
     close(histograms, before + np.stack(added, 1) * ones)
     seen = np.flatnonzero(sum(added))
     close(lookup[seen], reference.tabulate(histograms[seen], 0))
     assert (np.delete(lookup, seen) == -1).all()
+
+
+@pytest.mark.parametrize("moved", [(0, 0), (5, -3), (-40, 2), (70, 80)])
+def test_shift(moved):
+    """A rectangle that has left the patch is empty, and counts as a pixel."""
+    rectangle, area = alone(color.shift)((20, 30, 50, 70), *moved, 100, 110)
+    assert rectangle == reference.shift((20, 30, 50, 70), *moved, 100, 110)
+    inside = np.zeros((100, 110), bool)
+    inside[slice(rectangle[0], rectangle[2]), slice(rectangle[1], rectangle[3])] = True
+    assert area == max(inside.sum(), 1)
 
 
 def test_count_color():
@@ -174,6 +185,9 @@ def test_look_up_and_box_means(picture):
     out = np.empty((5, 3), np.float32)
     color.box_means(integral, rows, columns, 31, 20, out)
     np.testing.assert_allclose(out, reference.box_means(lookup[bins], rows, columns, 31, 20), atol=1e-4)
+    at_once = np.full_like(out, np.nan)
+    color.likelihood_map(bins, lookup, np.empty_like(integral), rows, columns, 31, 20, at_once)
+    assert np.array_equal(at_once, out)
 
 
 # --- fusion ---
@@ -187,10 +201,14 @@ def test_fuse_maps(floor, power):
     responses[2] = 0.25  # flat
     weights = np.array([1, 1, 1, 0.3], np.float32)
     expected, expected_fused = reference.fuse_maps(responses, weights, floor, power)
-    fused = np.empty((11, 15), np.float32)
-    fusion.fuse_maps(responses, weights, floor, power, fused)
+    fused, tops, again = np.empty((11, 15), np.float32), np.empty(4, np.float32), responses.copy()
+    highest = responses.max((1, 2))
+    fusion.fuse_maps(responses, weights, floor, power, tops, fused)
     close(responses, expected)
     close(fused, expected_fused)
+    assert np.array_equal(tops, highest)
+    found = fusion.fuse_and_find(again, weights, floor, power, 5, tops, np.empty_like(fused))
+    assert found == fusion.find_peak(fused, 5)
 
 
 @pytest.mark.parametrize("seed", range(12))

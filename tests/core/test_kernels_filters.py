@@ -35,11 +35,22 @@ def test_energy(spectra):
     close(energies_of(spectra), np.stack([reference.energy(spectra, block) for block in BLOCKS]))
 
 
-def test_respond_filters(spectra):
-    filters = complex_noise(np.random.default_rng(5), *spectra.shape)
-    out = np.empty((len(BLOCKS), *spectra.shape[1:]), np.complex64)
-    template.respond_filters(filters, spectra, BLOCKS, out)
-    close(out, reference.respond_filters(filters, spectra, BLOCKS))
+def test_correlate(spectra):
+    filters, out = complex_noise(np.random.default_rng(5), *spectra.shape), np.empty(spectra.shape[1:], np.complex64)
+    template.correlate(filters, spectra, 1, 4, out)
+    close(out, reference.respond_filters(filters, spectra, [(1, 4)])[0])
+
+
+@pytest.mark.parametrize("background", [False, True])
+def test_respond_filters(spectra, background):
+    rng = np.random.default_rng(5)
+    mean, filters = complex_noise(rng, *spectra.shape), complex_noise(rng, *spectra.shape)
+    gain = complex_noise(rng, len(BLOCKS), *spectra.shape[1:])
+    out = np.empty((len(BLOCKS) + background, *spectra.shape[1:]), np.complex64)
+    template.respond_filters(mean, gain, BLOCKS, filters if background else filters[:0], spectra, out)
+    close(out[: len(BLOCKS)], gain * reference.respond_filters(mean, spectra, BLOCKS))
+    if background:
+        close(out[-1:], reference.respond_filters(filters, spectra, [(0, len(spectra))]))
 
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0), (1.0, -2.0), (0.3, 0.71), (-9.4, 4.5)])
@@ -98,6 +109,22 @@ def test_learn_spectra(spectra, rate):
     template.learn_spectra(spectra, BLOCKS, np.float32(rate), mean, denominator)
     for actual, wanted in zip((mean, denominator), expected, strict=True):
         close(actual, wanted)
+
+
+@pytest.mark.parametrize("offset", [(0.0, 0.0), (0.4, -0.7)])
+def test_follow_spectra(spectra, label_f, offset):
+    """The parts in one call."""
+    rng = np.random.default_rng(12)
+    mean = complex_noise(rng, *spectra.shape)
+    denominator = rng.random((len(BLOCKS), *spectra.shape[1:])).astype(np.float32)
+    gain = np.empty(denominator.shape, np.complex64)
+    turned = reference.turn(spectra, *offset).astype(np.complex64)
+    expected = reference.learn_spectra(turned, BLOCKS, 0.02, mean, denominator)
+    rate, regularization = np.float32(0.02), np.float32(0.3)
+    template.follow_spectra(spectra, *offset, BLOCKS, rate, label_f, regularization, mean, denominator, gain)
+    for actual, wanted in zip((spectra, mean, denominator), (turned, *expected), strict=True):
+        close(actual, wanted)
+    close(gain, reference.divide_label(label_f, denominator, 0.3))
 
 
 @pytest.mark.parametrize(("before", "penalty"), [(0.0, 1.0), (1.0, 10.0)])

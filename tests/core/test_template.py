@@ -10,7 +10,7 @@ import pytest
 from scipy import fft
 
 from mfcmt_core import MFCMT, MFCMTConfig, synthetic
-from mfcmt_core.geometry import SearchWindow
+from mfcmt_core.geometry import Frame, SearchWindow
 from mfcmt_core.template import TemplateModel
 
 from .helpers import filters_of
@@ -18,6 +18,7 @@ from .helpers import filters_of
 CONFIG = MFCMTConfig.default().replace(patch_size=32, regularization=0.01, background_interval=0)
 """Cells of 8×8: small enough to write every shift of the samples down."""
 N = 8
+RIDGE = ("template", "gray", "fhog", "color_names")
 
 
 def model(**changes) -> TemplateModel:
@@ -58,7 +59,8 @@ def filter_in_space(m: TemplateModel, block):
 def respond(m: TemplateModel, spectra):
     """The whole response, zero displacement in the middle."""
     out = np.empty((len(m.names), N - 1, N - 1), np.float32)
-    return m.respond(spectra, out), out
+    m.respond(spectra, out)
+    return out
 
 
 @pytest.mark.parametrize("average", ["filter", "spectra"])
@@ -86,9 +88,8 @@ def test_equation_3_is_the_dense_correlation():
     m.learn(spectra_of(noise(0, m.features.channels)))
     z = noise(1, m.features.channels)
     expected = (correlation_matrix(z) @ filter_in_space(m, (0, m.features.channels))).reshape(N, N)
-    highest, out = respond(m, spectra_of(z))
+    out = respond(m, spectra_of(z))
     np.testing.assert_allclose(out[0], np.roll(expected, (3, 3), (0, 1))[:7, :7], atol=1e-5)
-    assert highest == pytest.approx(out.max())
 
 
 @pytest.mark.parametrize("shift", [(0, 0), (2, -1), (-3, 3)])
@@ -97,7 +98,7 @@ def test_equation_3_needs_the_conjugate_that_the_print_leaves_out(shift):
     x = noise(2, m.features.channels)
     m.learn(spectra_of(x))
     z = spectra_of(np.roll(x, shift, (1, 2)))
-    _, out = respond(m, z)
+    out = respond(m, z)
     assert np.unravel_index(out[0].argmax(), (7, 7)) == (3 + shift[0], 3 + shift[1])
     assert out.max() > 0.9
     as_printed = np.fft.irfft2((filters_of(m) * z).sum(0), s=(N, N))
@@ -105,20 +106,21 @@ def test_equation_3_needs_the_conjugate_that_the_print_leaves_out(shift):
 
 
 def test_separate_filters_are_independent_regressions():
-    """Three basic models: each regresses on its own channels, and their peaks are averaged."""
+    """Three basic models: each regresses on its own channels, each with its response."""
     m = model(joint_filter=False)
     assert m.names == ("gray", "fhog", "color_names")
     x, z = noise(3, m.features.channels), noise(4, m.features.channels)
     m.learn(spectra_of(x))
-    mean_peak, out = respond(m, spectra_of(z))
-    peaks = []
+    out = respond(m, spectra_of(z))
     for k, (name, block) in enumerate(m.features.blocks.items()):
         alone = model(features=(name,) if name != "color_names" else ("gray", name), joint_filter=False)
         channels = x[block] if name != "color_names" else np.concatenate([x[:1], x[block]])
         alone.learn(spectra_of(channels))
         np.testing.assert_allclose(filters_of(m)[block], filters_of(alone)[-x[block].shape[0] :], atol=1e-5)
-        peaks.append(out[k].max())
-    assert mean_peak == pytest.approx(np.mean(peaks))
+        response_f = (np.conj(filters_of(m)[block]) * spectra_of(z)[block]).sum(0)
+        np.testing.assert_allclose(
+            out[k], np.roll(np.fft.irfft2(response_f, s=(N, N)), (3, 3), (0, 1))[:7, :7], atol=1e-5
+        )
 
 
 def test_equation_11_averages_filters():
@@ -240,6 +242,31 @@ def test_the_parts_of_a_joint_response_are_its_cues() -> None:
     joint = model()
     spectra = spectra_of(noise(1, joint.features.channels))
     joint.learn(spectra)
-    _, whole = respond(joint, spectra)
+    whole = respond(joint, spectra)
     parts = joint.respond_by_cue(spectra)
     assert sum(parts.values()) == pytest.approx(whole[0], abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"joint_filter": False}, {"features": ()}, {"color_histogram": False}], ids=repr
+)
+def test_the_template_peak_is_the_mean_of_the_ridge_filters_highest_responses(changes):
+    """The background-aware filter's and the statistical response are none of them; without a model its peak is 1."""
+    clip = synthetic.clip("motion", length=2)
+    tracker = MFCMT(MFCMTConfig.default().replace(**changes))
+    tracker.init(clip.frames[0], clip.boxes[0])
+    target, frame = tracker._target, Frame.of(clip.frames[1])
+    seen = target.observe(frame, tracker.needed_region(), target.center)
+    peaks = tracker._detect(target, frame, seen).peaks
+    responses = np.empty_like(target.maps()[0])
+    if target.template:
+        target.template.respond(seen.spectra, responses[: len(target.template.names)])
+        ridge = [r.max() for r, name in zip(responses, target.map_names, strict=True) if name in RIDGE]
+        assert peaks.template == pytest.approx(np.mean(ridge))
+    else:
+        assert peaks.template == 1
+    if target.color:
+        target.color.respond(seen.bins, responses[-1])
+        assert peaks.statistical == pytest.approx(responses[-1].max())
+    else:
+        assert peaks.statistical == 1
