@@ -55,6 +55,7 @@ CHOICES: dict[str, dict[str, Any]] = {
     "always-anew": {"learn_within": 0.0},
     "all-scales": {"scale_samples": 33},
     "small-scale-samples": {"scale_max_area": 512.0},
+    "scale-in-each": {"scale_interval": 1},
 }
 """``default-<choice>``: a choice in which default() differs from paper(), taken back alone. Filters themselves can
 be averaged only without the background-aware one: ``average-filter`` compares with ``one-filter``."""
