@@ -42,6 +42,7 @@ class State:
     base_size: tuple[float, float]
     grey: bool
     center: tuple[float, float]
+    anchor: tuple[float, float]
     scale: float
     reliability: dict[str, Any]
     arrays: dict[str, Any]
@@ -58,6 +59,7 @@ def dump(config: MFCMTConfig, target: Target, frame_size: tuple[int, int]) -> by
         "base_size": list(target.base_size),
         "grey": target.grey,
         "center": list(target.center),
+        "anchor": list(target.anchor),
         "scale": target.scale,
         "reliability": {
             "history": [list(peaks) for peaks in r.history],
@@ -91,7 +93,9 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
         config = MFCMTConfig.from_dict((SINCE if document["version"] == PREVIOUS else {}) | document["config"])
         width, height = (_integer(v, 1, MAX_FRAME_SIDE) for v in document["frame_size"])
         w, h = (_number(v, MIN_BOX_SIDE, 4 * MAX_FRAME_SIDE) for v in document["base_size"])
-        x, y = (_number(v, 0, side) for v, side in zip(document["center"], (width, height), strict=True))
+        if document["version"] == PREVIOUS:
+            document["anchor"] = document["center"]
+        center, anchor = (_place(document[name], (width, height)) for name in ("center", "anchor"))
         r = document["reliability"]
         reliability = {
             "history": _history(r["history"]),
@@ -106,7 +110,8 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
             document["version"],
             (w, h),
             _boolean(document["grey"]),
-            (x, y),
+            center,
+            anchor,
             scale,
             reliability,
             dict(document["arrays"]),
@@ -123,7 +128,7 @@ def restore(target: Target, state: State) -> None:
         raise BadSnapshot(f"the arrays are not {sorted(expected)}")
     for name, array in expected.items():
         _unpack(name, state.arrays[name], array)
-    target.center, target.scale = state.center, state.scale
+    target.center, target.anchor, target.scale = state.center, state.anchor, state.scale
     for name, value in state.reliability.items():
         setattr(target.reliability, name, value)
     if target.sizes and state.version == PREVIOUS:
@@ -216,6 +221,11 @@ def _integer(value: Any, low: int, high: int) -> int:
 def _pair(value: Any, low: float, high: float) -> tuple[float, float]:
     first, second = (_number(v, low, high) for v in value)
     return first, second
+
+
+def _place(value: Any, frame_size: tuple[int, int]) -> tuple[float, float]:
+    x, y = (_number(v, 0, side) for v, side in zip(value, frame_size, strict=True))
+    return x, y
 
 
 def _history(value: Any) -> deque[tuple[float, float, float]]:

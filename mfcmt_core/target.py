@@ -73,12 +73,16 @@ class Observation:
 
 
 class Target:
-    """The models of one target and where it is: what :meth:`MFCMT.init` builds."""
+    """The models of one target and where it is: what :meth:`MFCMT.init` builds.
+
+    ``anchor`` is its centre in the last reliable frame.
+    """
 
     def __init__(self, config: MFCMTConfig, base_size: Point, grey: bool) -> None:
         self.grey = grey
         self.base_size = base_size
         self.center: Point = (0.0, 0.0)
+        self.anchor: Point = (0.0, 0.0)
         self.scale = 1.0
         self.window = SearchWindow(config, base_size)
         cues = [c for c in config.features if not (grey and c == "color_names")]

@@ -82,7 +82,7 @@ class MFCMT:
         frame.require(within)
         grey = is_grey(window.crop(frame, within, center, 1.0).pixels)
         target = Target(self.config, (w, h), grey)
-        target.center = center
+        target.center = target.anchor = center
         target.learn(target.observe(frame, within, center), first=True)
         if target.sizes:
             target.sizes.learn(target.sizes.spectra(frame, within, center, 1.0), first=True)
@@ -111,10 +111,13 @@ class MFCMT:
         seen, found = self._search(target, frame, within)
         kept = self._copy_maps(target, frame, seen) if maps else None
         verdict = target.reliability.judge(found.peaks)
-        if verdict.status != "lost":
+        if verdict.status == "lost":
+            target.center = target.anchor  # since then there were only noise peaks to follow
+        else:
             target.center = found.center
             self._resize(target, frame, within, verdict)
         if verdict.reliable:
+            target.anchor = target.center
             if not target.is_near(seen):
                 seen = target.observe(frame, within, target.center, seen.cut)
             target.learn(seen)

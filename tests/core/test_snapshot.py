@@ -163,6 +163,10 @@ CHANGES = [
     ("center", [1e5, 5.0]),
     ("center", [float("inf"), 5.0]),
     ("center", None),
+    ("anchor", [-1.0, 5.0]),
+    ("anchor", [5.0, float("nan")]),
+    ("anchor", [5.0]),
+    ("anchor", None),
     ("scale", 0),
     ("scale", -1.0),
     ("scale", float("nan")),
@@ -208,7 +212,9 @@ def test_fields_that_do_not_fit(change, data):
         MFCMT.from_bytes(changed(data, *change))
 
 
-@pytest.mark.parametrize("name", ["format", "version", "config", "frame_size", "base_size", "grey", "center", "scale"])
+@pytest.mark.parametrize(
+    "name", ["format", "version", "config", "frame_size", "base_size", "grey", "center", "anchor", "scale"]
+)
 def test_fields_that_are_missing(name, data):
     document = msgpack.unpackb(data)
     del document[name]

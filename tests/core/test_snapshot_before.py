@@ -23,6 +23,7 @@ def as_version_2(tracker):
     """The document that it would have been: filters beside what they follow from, histograms apart."""
     document, target = msgpack.unpackb(tracker.to_bytes()), tracker._target
     document["version"] = 2
+    del document["anchor"]
     for name in SINCE:
         del document["config"][name]
     arrays = document["arrays"]
