@@ -66,6 +66,7 @@ _AS_PUBLISHED: dict[str, Any] = {
     "doubt_threshold": 0.0,
     "learn_within": 0.0,
     "scale_samples": 33,
+    "scale_interval": 1,
     "scale_max_area": 512.0,
 }
 

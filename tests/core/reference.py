@@ -226,38 +226,28 @@ def pack_quads(gray):
     return np.stack([padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]], axis=-1)
 
 
-def scale_histogram(samples):
-    """Votes of each scale's sample, (cells_y, 18, cells_x, scales)."""
-    histograms = []
-    for s in range(samples.shape[-1]):
-        dx, dy = differences(samples[..., s])
-        histograms.append(histogram_cells(np.hypot(dx, dy), projections(dx, dy).argmax(0)))
-    return np.stack(histograms, axis=-1)
+def scale_gradients(samples):
+    """Magnitude (h, w, scales) and projections (18, h, w, scales) of each scale's sample."""
+    d = np.stack([differences(samples[..., s]) for s in range(samples.shape[-1])], axis=-1)
+    return np.hypot(*d), projections(*d)
+
+
+def scale_histogram(magnitude, orientation):
+    """Votes of each scale's gradients, (cells_y, 18, cells_x, scales)."""
+    scales = range(magnitude.shape[-1])
+    return np.stack([histogram_cells(magnitude[..., s], orientation[..., s]) for s in scales], axis=-1)
 
 
 def scale_features(histogram, epsilon, window):
-    """fHOG of each scale's sample times its weight, (cells_y · cells_x · 31, scales)."""
-    columns = [normalize_cells(histogram[..., s], w, epsilon) for s, w in enumerate(window)]
-    return np.stack([np.moveaxis(c, 0, -1).ravel() for c in columns], axis=1)
-
-
-def fold(values, side, present):
-    """Of smaller and larger scales and the present one: that and the sums, and the differences."""
-    smaller, larger, same = values[..., :side], values[..., side : 2 * side], values[..., present, None]
-    return np.concatenate([same, larger + smaller], axis=-1), larger - smaller
-
-
-def complex_scales(waves, sums):
-    """Half spectra (features, M + 1), frequency 0 first."""
-    side = waves.shape[1] // 2
-    return np.concatenate([sums[:, None], waves[:, :side] - 1j * waves[:, side:]], axis=1)
+    """fHOG of each scale's sample times its weight, (cells_y · cells_x, 31, scales)."""
+    features = np.stack([normalize_cells(histogram[..., s], w, epsilon) for s, w in enumerate(window)], axis=-1)
+    return np.moveaxis(features, 0, 2).reshape(-1, *features.shape[::3])
 
 
 def respond_scales(spectra, mean, label_f, energy, regularization):
-    return (np.conj(mean) * spectra).sum(0) * label_f / (energy + regularization)
+    return (np.conj(mean) * spectra).sum((0, 1)) * label_f / (energy + regularization)
 
 
-def learn_scales(spectra, angles, rate, mean, energy):
-    """``angles`` (M,) by which the frequencies above 0 are turned."""
-    spectra = spectra * np.exp(1j * np.append(0, angles))
-    return (1 - rate) * mean + rate * spectra, (1 - rate) * energy + rate * (np.abs(spectra) ** 2).sum(0)
+def learn_scales(spectra, phase, rate, mean, energy):
+    energies = (np.abs(spectra) ** 2).sum((0, 1))
+    return (1 - rate) * mean + rate * phase * spectra, (1 - rate) * energy + rate * energies

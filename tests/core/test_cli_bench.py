@@ -32,9 +32,12 @@ def otb_like(tmp_path_factory) -> Path:
 
 def test_every_stage_is_clocked():
     report = bench.measure(measure.synthetic_material("motion", 30), "default", 1)
-    for name in ("search window", "template features", "template response", "fusion", "scale features"):
+    for name in ("search window", "template features", "template response", "fusion"):
         assert report["stages_ms"][name]["calls"] >= 0.9, name
         assert report["stages_ms"][name]["median"] > 0
+    for name in ("scale features", "scale response", "scale learning"):  # in every second frame
+        assert report["stages_ms"][name]["calls"] == pytest.approx(14 / 29), name
+        assert report["stages_ms"][name]["mean"] > 0
     assert report["stages_ms"]["everything else"]["calls"] == 1
     assert report["fps"] == pytest.approx(1e3 / report["update_ms"]["mean"])
     assert report["clips"][0]["frames"] == 30

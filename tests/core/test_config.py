@@ -26,13 +26,14 @@ def test_paper_preset_says_what_the_paper_says():
     assert c.usual_threshold == 0
     assert (c.num_scales, c.scale_step) == (33, 1.02)
     assert c.scale_when_reliable
-    # every model learns a window of its own, every scale is sampled, as DSST has it
-    assert (c.learn_within, c.scale_samples, c.scale_max_area) == (0, 33, 512)
+    # every model learns a window of its own, every scale is sampled in every frame, as DSST has it
+    assert (c.learn_within, c.scale_samples, c.scale_interval, c.scale_max_area) == (0, 33, 1, 512)
 
 
 def test_default_preset_shares_windows_and_interpolates_scales():
     c = MFCMTConfig.default()
     assert (c.learn_within, c.num_scales, c.scale_samples, c.scale_max_area) == (1, 33, 15, 1024)
+    assert c.scale_interval == 2
 
 
 @pytest.mark.parametrize(("num_scales", "scale_samples"), [(1, 3), (3, 101), (33, 33), (33, 15), (101, 3)])
@@ -88,6 +89,12 @@ BAD = [
     ("scale_samples", -15),
     ("scale_samples", 103),
     ("scale_samples", 15.0),
+    ("scale_interval", 0),
+    ("scale_interval", -2),
+    ("scale_interval", 10**7),
+    ("scale_interval", 2.0),
+    ("scale_interval", True),
+    ("scale_interval", None),
     ("learn_within", -0.1),
     ("learn_within", 10.5),
     ("learn_within", float("nan")),

@@ -115,6 +115,8 @@ def test_the_order_of_cues_does_not_matter(frames, clip, order):
         {"patch_size": 101},
         {"patch_size": 32},
         {"scale_when_reliable": False},
+        {"scale_interval": 1},
+        {"scale_interval": 5},
         {"lost_after": 0},
     ],
     ids=str,

@@ -8,12 +8,11 @@ import pytest
 from mfcmt_core.kernels import scale
 
 from . import reference
-from .twins import close, patch_of
+from .twins import close, complex_noise, patch_of
 
 LANES = 24
-"""Eight smaller scales, eight larger ones, padding."""
-PRESENT = [16, 7]
-"""The lane of the present scale: behind all others, or in the padding of seven smaller ones."""
+WINDOW = np.pad(np.hanning(19)[1:-1], (0, 7)).astype(np.float32)
+"""Of 17 scales; the other lanes are padding."""
 
 
 def quads_of(gray):
@@ -43,98 +42,99 @@ def samples(gray):
     return made + np.random.default_rng(0).random(made.shape).astype(np.float32)  # no ties between directions
 
 
-def histogram_of(samples, count):
+def gradients_of(samples):
+    magnitude, orientation = np.full(samples.shape, np.nan, np.float32), np.full(samples.shape, 255, np.uint8)
+    scale.scale_gradients(samples, magnitude, orientation)
+    return magnitude, orientation
+
+
+def test_scale_gradients(samples):
+    magnitude, orientation = gradients_of(samples)
+    expected, along = reference.scale_gradients(samples)
+    close(magnitude, expected)
+    assert (orientation < 18).all()
+    # where two directions fit equally, either will do
+    chosen = np.take_along_axis(along, orientation[None].astype(np.int64), 0)[0]
+    np.testing.assert_allclose(chosen, along.max(0), atol=1e-3)
+
+
+def histogram_of(samples):
     histogram = np.full((6 * 4 + 1, 18, LANES), np.nan, np.float32)
-    scale.scale_histogram(samples, count, histogram)
+    scale.scale_histogram(*gradients_of(samples), histogram)
     return histogram
 
 
+def cells_of(histogram):
+    """Without the cell for what falls outside, as the twins have it: (cells_y, 18, cells_x, lanes)."""
+    return np.moveaxis(histogram[:-1].reshape(6, 4, 18, LANES), 1, 2)
+
+
 def test_scale_histogram(samples):
-    histogram = histogram_of(samples, 17)
-    cells_ = np.moveaxis(histogram[:-1].reshape(6, 4, 18, LANES), 1, 2)
-    np.testing.assert_allclose(cells_[..., :17], reference.scale_histogram(samples[..., :17]), rtol=1e-4, atol=2e-2)
-    assert not cells_[..., 17:].any()
+    expected = reference.scale_histogram(*gradients_of(samples))
+    np.testing.assert_allclose(cells_of(histogram_of(samples)), expected, rtol=1e-4, atol=2e-2)
 
 
-def window_of(present):
-    """Weights of the scales, those of the padding 0; what faces the present one is padding, too."""
-    window = np.zeros(LANES, np.float32)
-    window[:8] = window[8:16] = np.linspace(1, 0.1, 8)
-    window[8 + present :] = 0
-    window[present] = 1
-    return window
+def features_of(histogram, epsilon, window):
+    norms, energy = np.full((7, 5, LANES), np.nan, np.float32), np.full((6, 4, LANES), np.nan, np.float32)
+    texture, out = np.full((4, LANES), np.nan, np.float32), np.full((6 * 4, 31, LANES), np.nan, np.float32)
+    scale.scale_norms(histogram, np.float32(epsilon), energy, norms)
+    scale.scale_features(histogram, norms, window, texture, out)
+    return out
 
 
-@pytest.mark.parametrize("present", PRESENT)
 @pytest.mark.parametrize("epsilon", [1e-2, 10.0])
-def test_scale_features(samples, epsilon, present):
-    histogram = histogram_of(samples, 17)
-    window = window_of(present)
-    norms = np.full((7, 5, LANES), np.nan, np.float32)
-    even, odd = np.full((6 * 4 * 31, 9), np.nan, np.float32), np.full((6 * 4 * 31, 8), np.nan, np.float32)
-    scale.scale_norms(histogram, np.float32(epsilon), norms)
-    scale.scale_features(histogram, norms, window, present, even, odd)
-    cells_ = np.moveaxis(histogram[:-1].reshape(6, 4, 18, LANES), 1, 2)
-    expected = reference.fold(reference.scale_features(cells_, epsilon, window), 8, present)
-    np.testing.assert_allclose(even, expected[0], atol=1e-3)
-    np.testing.assert_allclose(odd, expected[1], atol=1e-3)
+def test_scale_features(samples, epsilon):
+    histogram = histogram_of(samples)
+    out = features_of(histogram, epsilon, WINDOW)
+    np.testing.assert_allclose(out, reference.scale_features(cells_of(histogram), epsilon, WINDOW), atol=1e-3)
+    assert not out[..., 17:].any()
 
 
-@pytest.mark.parametrize("present", PRESENT)
-def test_scale_hog(gray, present):
+def test_scale_hog(gray):
     """The parts in one call."""
     cut = patch_of(gray, 60, 80)
     step = np.linspace(0.8, 3.2, LANES, dtype=np.float32)
-    window, epsilon, center = np.ones(LANES, np.float32), np.float32(10), (np.float32(39.3), np.float32(31.7))
-    samples, histogram = np.empty((24, 16, LANES), np.float32), np.empty((25, 18, LANES), np.float32)
-    quads, norms = np.empty((60, 80), np.uint32), np.empty((7, 5, LANES), np.float32)
-    even, odd = np.empty((24 * 31, 9), np.float32), np.empty((24 * 31, 8), np.float32)
-    scale.scale_hog(cut, *center, step, step, present, epsilon, window, quads, samples, histogram, norms, even, odd)
+    epsilon, center = np.float32(10), (np.float32(39.3), np.float32(31.7))
+    quads, orientation = np.empty((60, 80), np.uint32), np.empty((24, 16, LANES), np.uint8)
+    samples, magnitude = np.empty((2, 24, 16, LANES), np.float32)
+    histogram, energy = np.empty((25, 18, LANES), np.float32), np.empty((6, 4, LANES), np.float32)
+    norms, texture = np.empty((7, 5, LANES), np.float32), np.empty((4, LANES), np.float32)
+    out = np.full((6 * 4, 31, LANES), np.nan, np.float32)
+    scratch = (quads, samples, magnitude, orientation, histogram, energy, norms, texture)
+    scale.scale_hog(cut, *center, step, step, epsilon, WINDOW, *scratch, out)
     assert np.array_equal(quads, quads_of(cut))
     np.testing.assert_allclose(samples, reference.sample_scales(cut, 39.3, 31.7, step, step, (24, 16)), atol=0.02)
-    assert np.array_equal(histogram, histogram_of(samples, max(present + 1, 16)))
-    expected_even, expected_odd = np.empty_like(even), np.empty_like(odd)
-    scale.scale_features(histogram, norms, window, present, expected_even, expected_odd)
-    np.testing.assert_allclose(even, expected_even, atol=1e-5)
-    np.testing.assert_allclose(odd, expected_odd, atol=1e-5)
-
-
-@pytest.mark.parametrize("present", PRESENT)
-def test_fold(present):
-    values = np.random.default_rng(11).random(LANES).astype(np.float32)
-    even, odd = np.empty(9, np.float32), np.empty(8, np.float32)
-    scale.fold(values, present, even, odd)
-    for actual, expected in zip((even, odd), reference.fold(values, 8, present), strict=True):
-        close(actual, expected)
+    assert np.array_equal(histogram, histogram_of(samples))
+    np.testing.assert_allclose(out, features_of(histogram, epsilon, WINDOW), atol=1e-5)
 
 
 @pytest.fixture
 def filter_and_spectra():
-    """Waves and sums of spectra and of a mean, (50, 16) and (50,) each."""
+    """Half spectra along scales and the mean of such, (cells, 31, half) each, and their energy."""
     rng = np.random.default_rng(10)
-    waves, mean = rng.standard_normal((2, 50, 16)).astype(np.float32)
-    sums, mean_sums = rng.standard_normal((2, 50)).astype(np.float32)
-    return waves, sums, mean, mean_sums
+    return complex_noise(rng, 6, 31, 8), complex_noise(rng, 6, 31, 8), rng.random(8).astype(np.float32)
+
+
+def scratch_of(spectra, dtype):
+    return np.full(spectra.shape[1:], np.nan, dtype)
 
 
 def test_respond_scales(filter_and_spectra):
-    waves, sums, mean, mean_sums = filter_and_spectra
-    label_f, energy = np.random.default_rng(11).random((2, 9)).astype(np.float32)
-    response_f = np.empty(17, np.float32)
-    scale.respond_scales(waves, sums, mean, mean_sums, label_f, energy, np.float32(0.3), response_f)
-    complex_, complex_mean = reference.complex_scales(waves, sums), reference.complex_scales(mean, mean_sums)
-    expected = reference.respond_scales(complex_, complex_mean, np.roll(label_f, 1), np.roll(energy, 1), 0.3)
-    close(reference.complex_scales(response_f[None, :16], response_f[16:])[0], expected, 1e-4)
+    spectra, mean, energy = filter_and_spectra
+    label_f = np.random.default_rng(11).random(8).astype(np.float32)
+    response_f = np.full(8, np.nan, np.complex64)
+    products = scratch_of(spectra, np.complex64)
+    scale.respond_scales(spectra, mean, label_f, energy, np.float32(0.3), products, response_f)
+    close(response_f, reference.respond_scales(spectra, mean, label_f, energy, 0.3), 1e-4)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.7])
 @pytest.mark.parametrize("rate", [0.025, 1.0])
 def test_learn_scales(filter_and_spectra, rate, angle):
-    waves, sums, mean, mean_sums = filter_and_spectra
-    energy = np.random.default_rng(12).random(9).astype(np.float32)
-    angles = (angle * np.arange(1, 9)).astype(np.float32)
-    complex_, complex_mean = reference.complex_scales(waves, sums), reference.complex_scales(mean, mean_sums)
-    expected = reference.learn_scales(complex_, angles, rate, complex_mean, np.roll(energy, 1))
-    scale.learn_scales(waves, sums, angles, np.float32(rate), mean, mean_sums, energy)
-    close(reference.complex_scales(mean, mean_sums), expected[0])
-    close(np.roll(energy, 1), expected[1])
+    spectra, mean, energy = filter_and_spectra
+    angles = (angle * np.arange(8)).astype(np.float32)
+    expected = reference.learn_scales(spectra, np.exp(1j * angles), rate, mean, energy)
+    turns, squares = scratch_of(spectra, np.complex64), scratch_of(spectra, np.float32)
+    scale.learn_scales(spectra, angles, np.float32(rate), mean, energy, turns, squares)
+    close(mean, expected[0])
+    close(energy, expected[1])

@@ -11,9 +11,7 @@ from hypothesis import strategies as st
 from mfcmt_core import MFCMTConfig, synthetic
 from mfcmt_core.geometry import Frame
 from mfcmt_core.kernels.scale import respond_scales
-from mfcmt_core.scale import ScaleModel, Spectra
-
-from .reference import complex_scales
+from mfcmt_core.scale import ScaleModel
 
 CONFIG = MFCMTConfig.default()
 SIZE = (320, 240)
@@ -36,14 +34,12 @@ def zoomed(image, factor, center=CENTER):
 
 
 def spectra(model, image, scale=1.0, center=CENTER):
-    seen = model.spectra(Frame.of(image), WITHIN, center, scale)
-    return Spectra(seen.waves.copy(), seen.sums.copy())
+    return model.spectra(Frame.of(image), WITHIN, center, scale).copy()
 
 
 def along_scales(spectra, count):
-    """What the spectra are of: windowed features (features, count), the present scale in the middle."""
-    half = complex_scales(spectra.waves, spectra.sums)[:, : count // 2 + 1]
-    return np.fft.fftshift(np.fft.irfft(half, count, axis=1), axes=1)
+    """What half spectra are of, along the last axis: ``count`` scales, the present one in the middle."""
+    return np.fft.fftshift(np.fft.irfft(spectra, count), axes=-1)
 
 
 def learned(image, base_size=(70.0, 60.0), **changes):
@@ -71,13 +67,28 @@ def test_the_scale_that_is_known_already_is_taken_into_account(image):
 def test_spectra_are_the_dft_over_scales(image, count, apart):
     """The inverse returns windowed features in [0, 1], the more alike the nearer their scales."""
     model = learned(image, scale_samples=count)
-    samples = along_scales(spectra(model, image), model.count)
-    assert samples.shape == (31 * model.width * model.height // 16, count)
+    seen = spectra(model, image)
+    assert seen.dtype == np.complex64
+    assert not seen[..., 0].imag.any()
+    samples = along_scales(seen, model.count)
+    assert samples.shape == (model.width * model.height // 16, 31, count)
     assert samples.min() > -1e-4
     assert samples.max() <= 1
     features, same = samples / np.hanning(count + 2)[1:-1], count // 2
-    likeness = [np.corrcoef(features[:, same], features[:, same + k])[0, 1] for k in apart]
+    likeness = [np.corrcoef(features[..., same].flat, features[..., same + k].flat)[0, 1] for k in apart]
     assert likeness == sorted(likeness, reverse=True)
+
+
+@pytest.mark.parametrize("count", SAMPLES)
+def test_samples_are_what_is_seen_at_their_scales(image, count):
+    """Smaller ones before the present one, larger ones behind it: each is the present one of a target of its size."""
+    model = learned(image, scale_samples=count)
+    window, same = np.hanning(count + 2)[1:-1], count // 2
+    seen = along_scales(spectra(model, image), count) / window
+    for step in (-same // 2, -1, 1, same // 2):
+        there = along_scales(spectra(model, image, model.lane_factors[same + step]), count) / window
+        likeness = [np.corrcoef(there[..., same].flat, seen[..., k].flat)[0, 1] for k in range(count)]
+        assert np.argmax(likeness) == same + step
 
 
 @pytest.mark.parametrize("samples", SAMPLES)
@@ -86,58 +97,53 @@ def test_filter_is_the_regression_along_scales(image, samples):
     model = learned(image, scale_samples=samples)
     n = model.count
     assert n == samples
-    x = along_scales(spectra(model, image), n)
-    feature = int(np.abs(x).sum(1).argmax())
-    one = ScaleModel(CONFIG.replace(scale_samples=samples), (70.0, 60.0))
     seen = spectra(model, image)
-    only = slice(feature, feature + 1)
-    one.mean = Spectra(np.zeros_like(seen.waves[only]), np.zeros_like(seen.sums[only]))
-    one.learn(Spectra(seen.waves[only], seen.sums[only]), first=True)
-    shifts = np.stack([np.roll(x[feature], -d) for d in range(n)])
+    x = along_scales(seen, n)
+    cell, channel = np.unravel_index(np.abs(x).sum(-1).argmax(), x.shape[:2])
+    one = ScaleModel(CONFIG.replace(scale_samples=samples), (70.0, 60.0))
+    one.mean = np.zeros((1, 1, n // 2 + 1), np.complex64)
+    one.learn(seen[cell, channel][None, None], first=True)
+    shifts = np.stack([np.roll(x[cell, channel], -d) for d in range(n)])
     steps = (np.arange(n) - n // 2) * 33 / n
     label = np.exp(-0.5 * (steps / (np.sqrt(33) * CONFIG.scale_sigma_factor)) ** 2)
     penalty = CONFIG.scale_regularization
     w = np.linalg.solve(shifts.T @ shifts + penalty * np.eye(n), shifts.T @ label)
-    mean = complex_scales(one.mean.waves, one.mean.sums)[0]
-    w_f = (np.roll(one.label_f / (one.energy + penalty), 1) * mean)[: n // 2 + 1]
-    np.testing.assert_allclose(np.fft.fftshift(np.fft.irfft(w_f, n)), np.roll(w, n // 2), atol=1e-3)
+    w_f = one.label_f / (one.energy + penalty) * one.mean[0, 0]
+    np.testing.assert_allclose(along_scales(w_f, n), np.roll(w, n // 2), atol=1e-3)
 
 
 def test_learning_rate(image):
     model = learned(image, scale_learning_rate=0.1)
     other = learned(zoomed(image, 1.1), scale_learning_rate=0.1)
-    first, energy = model.mean.waves.copy(), model.energy.copy()
+    first, energy = model.mean.copy(), model.energy.copy()
     model.learn(spectra(model, zoomed(image, 1.1)))
-    np.testing.assert_allclose(model.mean.waves, 0.9 * first + 0.1 * other.mean.waves, atol=1e-3)
+    np.testing.assert_allclose(model.mean, 0.9 * first + 0.1 * other.mean, atol=1e-3)
     np.testing.assert_allclose(model.energy, 0.9 * energy + 0.1 * other.energy, rtol=1e-4)
 
 
 def test_scales_are_33_powers_of_the_step():
     model = ScaleModel(CONFIG.replace(scale_samples=33), (50.0, 50.0))
     np.testing.assert_allclose(model.factors, 1.02 ** np.arange(-16.0, 17), rtol=1e-6)
-    np.testing.assert_allclose(model.lane_factors[[0, 15, 16, 31, 32]], 1.02 ** np.array([-1.0, -16, 1, 16, 0]))
-    assert model.present == 32
+    np.testing.assert_allclose(model.lane_factors, [*(1.02 ** np.arange(-16.0, 17)), *[1] * 7], rtol=1e-6)
     assert model.largest == pytest.approx(1.02**16)
+    assert model.window[16] == 1
     assert not model.window[33:].any()
 
 
 def test_fifteen_samples_take_as_many_steps_as_33_scales():
-    """33 / 15 of a step each, the present one in the padding of the seven smaller ones."""
+    """33 / 15 of a step each, and a lane of padding."""
     model = ScaleModel(CONFIG, (50.0, 50.0))
     np.testing.assert_allclose(model.factors, 1.02 ** np.arange(-16.0, 17), rtol=1e-6)
     step = 1.02 ** (33 / 15)
-    powers = [*range(-1, -8, -1), 0, *range(1, 8)]
-    np.testing.assert_allclose(model.lane_factors, [*(step ** np.array(powers, float)), 1], rtol=1e-6)
-    assert model.present == 7
+    np.testing.assert_allclose(model.lane_factors, [*(step ** np.arange(-7.0, 8)), 1], rtol=1e-6)
     assert model.window[7] == 1
     assert model.window[15] == 0
     assert model.largest == pytest.approx(step**7)
 
 
 def response_f_of(model, seen):
-    response_f = np.empty(2 * len(model.label_f) - 1, np.float32)
-    mean, penalty = model.mean, model.regularization
-    respond_scales(seen.waves, seen.sums, mean.waves, mean.sums, model.label_f, model.energy, penalty, response_f)
+    products, response_f = np.empty(seen.shape[1:], np.complex64), np.empty(seen.shape[-1], np.complex64)
+    respond_scales(seen, model.mean, model.label_f, model.energy, model.regularization, products, response_f)
     return response_f
 
 
@@ -146,14 +152,13 @@ def test_between_the_samples_the_response_is_interpolated(image, factor):
     """By the waves that the samples hold: each sample times the kernel sin πt / (n sin πt/n), t samples away."""
     model = learned(image)
     response_f = response_f_of(model, spectra(model, zoomed(image, factor)))
-    half = complex_scales(response_f[None, :-1], response_f[-1:])[:, :8]
-    at_samples = np.fft.fftshift(np.fft.irfft(half[0], 15))
+    at_samples = along_scales(response_f, 15)
     away = (np.arange(-16, 17) * 15 / 33)[:, None] - np.arange(-7, 8)
     with np.errstate(invalid="ignore"):
         kernel = np.sin(np.pi * away) / (15 * np.sin(np.pi * away / 15))
     kernel[np.isclose(away, 0)] = 1
     fine = kernel @ at_samples
-    np.testing.assert_allclose(model.inverse @ response_f, fine, atol=1e-4 * np.abs(fine).max())
+    np.testing.assert_allclose(model.inverse @ response_f.view(np.float32), fine, atol=1e-4 * np.abs(fine).max())
     assert model.estimate(spectra(model, zoomed(image, factor))) == model.factors[fine.argmax()]
 
 
@@ -162,9 +167,9 @@ def test_where_all_scales_are_sampled_nothing_is_interpolated(image, samples):
     model = learned(image, scale_samples=samples)
     assert model.count == 33
     response_f = response_f_of(model, spectra(model, zoomed(image, 1.1)))
-    half = complex_scales(response_f[None, :-1], response_f[-1:])[:, :17]
-    expected = np.fft.fftshift(np.fft.irfft(half[0], 33))
-    np.testing.assert_allclose(model.inverse @ response_f, expected, atol=1e-5 * np.abs(expected).max())
+    expected = along_scales(response_f, 33)
+    actual = model.inverse @ response_f.view(np.float32)
+    np.testing.assert_allclose(actual, expected, atol=1e-5 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("samples", SAMPLES)
@@ -176,7 +181,7 @@ def test_a_target_that_grew_is_learned_as_if_looked_at_in_its_size(image, steps,
     sample_step = 1.02 ** (33 / samples)
     model.learn(seen, sample_step**steps, first=True)
     plain.learn(seen, first=True)
-    expected = np.roll(along_scales(plain.mean, samples), -steps, axis=1)
+    expected = np.roll(along_scales(plain.mean, samples), -steps, axis=-1)
     np.testing.assert_allclose(along_scales(model.mean, samples), expected, atol=1e-4)
     np.testing.assert_allclose(model.energy, plain.energy, rtol=1e-4)
 
@@ -189,10 +194,8 @@ def test_a_part_of_a_step_turns_each_wave_by_its_frequency(image, growth, sample
     model.learn(seen, growth, first=True)
     plain.learn(seen, first=True)
     shift = np.log(growth) / (33 / samples * np.log(1.02))
-    half = complex_scales(plain.mean.waves, plain.mean.sums)[:, : samples // 2 + 1]
-    expected = half * np.exp(2j * np.pi / samples * np.arange(samples // 2 + 1) * shift)
-    actual = complex_scales(model.mean.waves, model.mean.sums)[:, : samples // 2 + 1]
-    np.testing.assert_allclose(actual, expected, atol=1e-4)
+    expected = plain.mean * np.exp(2j * np.pi / samples * np.arange(samples // 2 + 1) * shift)
+    np.testing.assert_allclose(model.mean, expected, atol=1e-4)
 
 
 @pytest.mark.parametrize("steps", [-2, -1, 1, 2])

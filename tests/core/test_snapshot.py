@@ -141,6 +141,7 @@ CHANGES = [
     ("config", "num_scales", 1),
     ("config", "scale_samples", 33),
     ("config", "scale_samples", 14),
+    ("config", "scale_interval", 0),
     ("config", "learn_within", -1.0),
     ("config", "scale_max_area", 512.0),
     ("config", "background_interval", 0),
@@ -202,7 +203,10 @@ CHANGES = [
     ("arrays", "histogram_gain", array((1,), -1)),
     ("arrays", "histogram_gain", array((1,), np.nan)),
     ("arrays", "histogram_gain", array((2,), 1)),
-    ("arrays", "scale_energy", array((9,), -1)),
+    ("arrays", "scale_sums", array((1953,), 0)),  # another one of those
+    ("arrays", "scale_energy", array((9,), 1)),
+    ("arrays", "scale_mean", array((63, 31, 8), 1)),
+    ("arrays", "scale_mean", array((1953, 8), 1, "<c8")),
 ]
 
 
@@ -210,6 +214,24 @@ CHANGES = [
 def test_fields_that_do_not_fit(change, data):
     with pytest.raises(BadSnapshot):
         MFCMT.from_bytes(changed(data, *change))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("mean", 1e30j),
+        ("denominator", -1),
+        ("histograms", -1),
+        ("scale_mean", 1e30j),
+        ("scale_mean", complex(0, np.nan)),
+        ("scale_energy", -1),
+        ("scale_energy", np.nan),
+    ],
+)
+def test_values_that_no_tracker_has(name, value, data):
+    packed = msgpack.unpackb(data)["arrays"][name]
+    with pytest.raises(BadSnapshot, match=f"{name}.*values"):
+        MFCMT.from_bytes(changed(data, "arrays", name, array(packed["shape"], value, packed["dtype"])))
 
 
 @pytest.mark.parametrize(
@@ -340,8 +362,7 @@ NUMBERS = [
     "background_unmasked",
     "histograms",
     "histogram_gain",
-    "scale_waves",
-    "scale_sums",
+    "scale_mean",
     "scale_energy",
 ]
 
@@ -361,9 +382,9 @@ NUMBERS = [
 @example("histograms", 1e12, True)
 @example("histogram_gain", 1e-45, True)
 @example("histogram_gain", 1e12, True)
-@example("scale_waves", 1e12, True)
-@example("scale_waves", -1e12, True)
-@example("scale_sums", 1e12, True)
+@example("scale_mean", 7e11, True)  # of real and imaginary part: the most that is taken
+@example("scale_mean", -7e11, True)
+@example("scale_mean", 7e11, False)
 @example("scale_energy", 0.0, True)
 @example("scale_energy", 1e12, True)
 def test_any_numbers_in_arrays(data, frames, name, value, everywhere):  # fmt: skip

@@ -11,7 +11,9 @@ from mfcmt_core.snapshot import SINCE, VERSION
 
 from .helpers import filters_of
 
-AS_BEFORE = MFCMTConfig.default().replace(learn_within=0.0, scale_samples=101)
+AS_BEFORE = MFCMTConfig.default().replace(learn_within=0.0, scale_samples=101, scale_interval=1)
+LANES = 8
+"""It padded the scales to each side to a multiple of this many."""
 
 
 def packed(values):
@@ -20,7 +22,7 @@ def packed(values):
 
 
 def as_version_2(tracker):
-    """The document that it would have been: filters beside what they follow from, histograms apart."""
+    """The document that it would have been: filters beside what they follow from, histograms apart, scales as waves."""
     document, target = msgpack.unpackb(tracker.to_bytes()), tracker._target
     document["version"] = 2
     del document["anchor"]
@@ -36,7 +38,21 @@ def as_version_2(tracker):
         histograms = target.color.histograms / target.color.gain
         arrays |= {"foreground": packed(histograms[:, 0]), "background": packed(histograms[:, 1])}
         del arrays["histograms"], arrays["histogram_gain"]
+    if target.sizes:
+        del arrays["scale_mean"]
+        arrays |= scales_as_waves(target.sizes)
     return document
+
+
+def scales_as_waves(sizes):
+    """Cosine and sine sums beside each other and frequency 0 apart; of the energy, that one last."""
+    mean = sizes.mean.reshape(-1, sizes.mean.shape[-1])
+    waves, constant = mean[:, 1:], mean[:, 0].real
+    padding = -waves.shape[1] % LANES
+    sums = [np.pad(part, ((0, 0), (0, padding))) for part in (waves.real, -waves.imag)]
+    energy = np.append(np.pad(sizes.energy[1:], (0, padding)), sizes.energy[0])
+    arrays = {"scale_waves": np.concatenate(sums, axis=1), "scale_sums": constant, "scale_energy": energy}
+    return {name: packed(values) for name, values in arrays.items()}
 
 
 @pytest.mark.parametrize(
@@ -65,6 +81,9 @@ def test_the_version_before_is_read(changes, tolerance, grey):
     again = msgpack.unpackb(restored.to_bytes())
     assert again["version"] == VERSION
     assert set(again["arrays"]) == set(msgpack.unpackb(tracker.to_bytes())["arrays"])
+    if config.num_scales > 1:  # nothing is lost of these
+        assert np.array_equal(restored._target.sizes.mean, tracker._target.sizes.mean)
+        assert np.array_equal(restored._target.sizes.energy, tracker._target.sizes.energy)
     for frame in sequence.frames[13:20]:
         expected, result = tracker.update(frame), restored.update(frame)
         assert result.status == expected.status
@@ -102,6 +121,6 @@ def test_versions_do_not_mix(frames, clip):
     tracker = MFCMT(AS_BEFORE)
     tracker.init(frames[0], clip.boxes[0])
     for document, version in ((as_version_2(tracker), VERSION), (msgpack.unpackb(tracker.to_bytes()), 2)):
-        document["version"] = version
+        document |= {"version": version, "anchor": document["center"]}
         with pytest.raises(BadSnapshot, match="arrays are not"):
             MFCMT.from_bytes(msgpack.packb(document))

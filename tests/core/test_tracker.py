@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from mfcmt_core import MFCMT, BadBox, MFCMTConfig, TrackResult, synthetic
 from mfcmt_core.otb.metrics import overlap
+from mfcmt_core.scale import ScaleModel
 
 from .helpers import ALERT, PRESETS, assert_sane, boxes_of, track
 
@@ -52,6 +53,39 @@ def test_scale_follows_the_target():
     assert np.array([r.scale for r in results]) == pytest.approx(truth, rel=0.12)
     for result in results:
         assert result.box[2:] == pytest.approx((56 * result.scale, 44 * result.scale))
+
+
+@pytest.mark.parametrize("config", [*PRESETS.values(), DEFAULT.replace(scale_interval=1)], ids=["2", "paper", "1"])
+def test_the_scale_is_searched_and_learned_in_every_so_many_th_learned_frame(config, monkeypatch):
+    """Frames that nothing is learned from do not count."""
+    called = []
+
+    def spy(name):
+        method = getattr(ScaleModel, name)
+
+        def spied(self, *args, **kwargs):
+            called.append(name)
+            return method(self, *args, **kwargs)
+
+        monkeypatch.setattr(ScaleModel, name, spied)
+
+    spy("estimate")
+    spy("learn")
+    sequence = synthetic.clip("occlusion", hide=0.9)
+    tracker = MFCMT(config)
+    results = [tracker.init(sequence.frames[0], sequence.boxes[0])]
+    assert called == ["learn"]
+    learned = 0
+    for frame in sequence.frames[1:]:
+        called.clear()
+        results.append(tracker.update(frame))
+        learned += results[-1].updated
+        if results[-1].updated and learned % config.scale_interval == 0:
+            assert called == ["estimate", "learn"]
+        else:
+            assert called == []
+            assert results[-1].scale == results[-2].scale
+    assert 0 < learned < len(results) - 1
 
 
 def test_an_occlusion_closes_the_gate():

@@ -35,6 +35,7 @@ def test_the_papers_rivals_learn_every_frame(name: str) -> None:
     assert config.color_histogram == (name in ("staple", "dat"))
     assert (config.num_scales == 33) == (name in ("staple", "samf", "dsst"))
     assert config.scale_samples == 33
+    assert config.scale_interval == 1
     assert config.scale_max_area == 512
     assert config.learn_within == 0
 
