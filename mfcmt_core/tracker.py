@@ -238,7 +238,7 @@ class MFCMT:
         sizes = target.sizes
         if sizes is None or not (verdict.reliable or not self.config.scale_when_reliable):
             return
-        if (target.reliability.learned + 1) % self.config.scale_interval:
+        if verdict.reliable and (target.reliability.learned + 1) % self.config.scale_interval:
             return
         spectra = sizes.spectra(frame, within, target.center, target.scale)
         scale = sizes.clamp(target.scale * sizes.estimate(spectra), frame.size)
