@@ -55,9 +55,13 @@ def test_scale_follows_the_target():
         assert result.box[2:] == pytest.approx((56 * result.scale, 44 * result.scale))
 
 
-@pytest.mark.parametrize("config", [*PRESETS.values(), DEFAULT.replace(scale_interval=1)], ids=["2", "paper", "1"])
+@pytest.mark.parametrize(
+    "config",
+    [*PRESETS.values(), DEFAULT.replace(scale_interval=1), DEFAULT.replace(scale_when_reliable=False, lost_after=0)],
+    ids=["2", "paper", "1", "unreliable"],
+)
 def test_the_scale_is_searched_and_learned_in_every_so_many_th_learned_frame(config, monkeypatch):
-    """Frames that nothing is learned from do not count."""
+    """Frames that nothing is learned from do not count; where they may search it, too, each does."""
     called = []
 
     def spy(name):
@@ -82,6 +86,8 @@ def test_the_scale_is_searched_and_learned_in_every_so_many_th_learned_frame(con
         learned += results[-1].updated
         if results[-1].updated and learned % config.scale_interval == 0:
             assert called == ["estimate", "learn"]
+        elif not (results[-1].updated or config.scale_when_reliable):
+            assert called == ["estimate"]
         else:
             assert called == []
             assert results[-1].scale == results[-2].scale
