@@ -62,10 +62,6 @@ class BackgroundAwareFilter:
             np.multiply(masked, np.float32(1 / (penalty + self.regularization)), out=self.filters)
             before = penalty
 
-    def resume(self) -> None:
-        """Have the next training go on from ``filters`` alone."""
-        np.multiply(self.filters, np.float32(PENALTIES[-1]), out=self.unmasked)
-
     def _masked(self, spectra: Spectra) -> Spectra:
         """The spectra of what ``spectra`` have inside the target's box."""
         channels, n, half = spectra.shape

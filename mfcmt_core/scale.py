@@ -62,9 +62,8 @@ class ScaleModel:
         waves = np.exp(-1j * np.outer(np.pad(steps, padding), frequencies)).astype(np.complex64)
         self.transform = waves.view(np.float32)
         twice = np.where(frequencies == 0, 1, 2) / n
-        self.inverse = (
-            (np.exp(-1j * np.outer(fine / spacing, frequencies)) * twice).astype(np.complex64).view(np.float32)
-        )
+        back = np.exp(-1j * np.outer(fine / spacing, frequencies)) * twice
+        self.inverse = back.astype(np.complex64).view(np.float32)
         self.angle_of_growth = (frequencies / log(sample_step)).astype(np.float32)
         label = np.exp(-0.5 * (steps * spacing / (sqrt(config.num_scales) * config.scale_sigma_factor)) ** 2)
         self.label_f = (label @ np.cos(np.outer(steps, frequencies))).astype(np.float32)

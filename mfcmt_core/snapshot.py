@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from .target import Target
 
 FORMAT = "mfcmt-tracker"
-VERSION = 3
-PREVIOUS = 2
-"""Held filters beside what they follow from, histograms apart, scales as real waves. Read, not written."""
-SINCE = {"learn_within": 0.0, "scale_samples": 101, "scale_interval": 1}
-"""Parameters that it did not know, as it had them: a window for each model, every scale sampled, in every frame."""
+VERSION = 4
+PREVIOUS = 3
+"""Held the scale filter as real waves, and no anchor. Read, not written."""
+SINCE = {"scale_interval": 1}
+"""A parameter that it did not know, as it had it."""
 MAX_VALUE = 1e12
 """Of any array: far above what images give, and responses to it stay inside float32."""
 SIGNED = ("scale_waves",)
@@ -135,8 +135,6 @@ def restore(target: Target, state: State) -> None:
         target.sizes.adopt(*(expected[name] for name in ("scale_waves", "scale_sums", "scale_energy")))
     if target.template:
         target.template.refresh()
-        if target.template.background and state.version == PREVIOUS:
-            target.template.background.resume()
     if target.color:
         if not (target.color.gain > 0).all():
             raise BadSnapshot("histograms without gain")
@@ -160,18 +158,8 @@ def _arrays(target: Target) -> dict[str, npt.NDArray[Any]]:
 
 
 def _previous_arrays(target: Target) -> dict[str, npt.NDArray[Any]]:
-    """The same by the names that they had in the version before."""
+    """What the version before held: the scale filter as :meth:`ScaleModel.adopt` takes it."""
     arrays = _arrays(target)
-    if t := target.template:
-        if t.average == "spectra":
-            arrays["filters"] = np.empty_like(t.mean)
-        else:
-            arrays["filters"] = arrays.pop("mean")
-        arrays.pop("background_unmasked", None)
-    if target.color:
-        histograms = arrays.pop("histograms")
-        arrays |= {"foreground": histograms[:, 0], "background": histograms[:, 1]}
-        del arrays["histogram_gain"]
     if target.sizes:
         cells, channels, half = arrays.pop("scale_mean").shape
         lanes = -(-(half - 1) // LANES) * LANES

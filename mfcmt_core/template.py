@@ -56,7 +56,7 @@ class TemplateModel:
         self.denominator = np.zeros((len(blocks), *shape[1:]), np.float32)
         self.gain = np.ones((len(blocks), *shape[1:]), np.complex64)
         self.background: BackgroundAwareFilter | None = None
-        self.background_filters = self.mean[:0]
+        self.background_filters = self.mean[:0]  # no channels: no such model
         self.interval = config.background_interval
         if self.interval:
             self.background = BackgroundAwareFilter(window, shape[0], self.label_f, config.regularization)

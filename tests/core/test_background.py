@@ -92,24 +92,6 @@ def test_a_first_training_forgets_what_was(smooth):
     assert np.array_equal(m.background.unmasked, expected[1])
 
 
-def test_from_filters_alone_training_goes_on_without_a_multiplier(smooth):
-    """Where only the filters are known the next iteration starts from them, and the optimum is the same."""
-    m, w = learned(smooth)
-    best, loss = dense(m, smooth)
-    filters = m.background.filters.copy()
-    m.background.unmasked[:] = np.nan
-    m.background.resume()
-    assert np.array_equal(m.background.filters, filters)
-    # the multiplier is what the unmasked filters are more than the penalty times the masked ones
-    np.testing.assert_allclose(m.background.unmasked, background.PENALTIES[-1] * filters, rtol=1e-6)
-    m.background.train(m.mean)
-    resumed = loss(np.fft.irfft2(m.background.filters, s=(N, N)).ravel())
-    assert resumed < loss(w.ravel())
-    for _ in range(200):
-        m.background.train(m.mean)
-    assert loss(np.fft.irfft2(m.background.filters, s=(N, N)).ravel()) == pytest.approx(loss(best), rel=0.02)
-
-
 def test_two_iterations_beat_a_ridge_filter_cut_to_the_box(smooth):
     m, w = learned(smooth)
     _, loss = dense(m, smooth)

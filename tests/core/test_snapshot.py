@@ -186,7 +186,7 @@ CHANGES = [
     ("arrays", [[1, 2], ["a", 3]]),
     ("arrays", b"x", 1),
     ("arrays", "more", array((3,), 0)),
-    ("arrays", "foreground", array((32768,), 0)),  # a name of the version before
+    ("arrays", "scale_sums", array((3,), 0)),  # a name of the version before
     ("arrays", "histograms", None),
     ("arrays", "histograms", b"1234"),
     ("arrays", "histograms", {"dtype": "<f4", "shape": [32768, 2], "data": b"123"}),
