@@ -15,7 +15,7 @@ from ..load.run import run_loop
 from ..load.soak import Phase, settings, soak_frames, soak_sessions, text
 
 SESSIONS, FRAMES = 100_000, 1_000_000
-SHORT_SESSIONS, SHORT_FRAMES = 3000, 6000
+SHORT_SESSIONS, SHORT_FRAMES = 3000, 24_000
 LEAST = 300
 MOST = 10_000_000
 SIZE = (96, 72)

@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-# What an allocator asks of the system at once: a smaller growth over a whole run cannot be seen.
-STEP_BYTES = 128 * 1024
+# What the allocator asks of the system at once, an arena of CPython's: a smaller growth over a whole run cannot be seen.
+STEP_BYTES = 1024 * 1024
+# The slope of the line through one step is at most this often the step over the length: with the step in the middle.
+STEP_SLOPE = 1.5
 # Of the run, before memory has settled: caches, tombstones and trajectories fill up to their bounds.
 WARM_UP = 0.3
 # A slope this many standard errors from 0 is no accident.
@@ -50,6 +52,6 @@ def slope(done: Sequence[float], used: Sequence[float]) -> Slope:
     lag = min(max(lag, 0.0), 0.9)
     independent = max(3.0, count * (1 - lag) / (1 + lag))
     error = math.sqrt(squares / (independent - 2) / spread)
-    noise = ERRORS * error + STEP_BYTES / (xs[-1] - xs[0])
+    noise = ERRORS * error + STEP_SLOPE * STEP_BYTES / (xs[-1] - xs[0])
     first, last = (mean_y + per_unit * (x - mean_x) for x in (xs[0], xs[-1]))
     return Slope(per_unit, noise, first, last)

@@ -9,7 +9,7 @@ import pytest
 
 from mfcmt_core.cli import main
 from service.load.mutate import Mutator
-from service.load.slope import STEP_BYTES, slope
+from service.load.slope import STEP_BYTES, STEP_SLOPE, slope
 from tests.service.frames import images
 
 
@@ -55,9 +55,19 @@ def test_a_slope_is_told_from_noise() -> None:
     assert leak.per_unit == pytest.approx(100, abs=leak.noise)
     constant = slope(done, [50e6] * 80)
     assert (constant.per_unit, constant.flat) == (0.0, True)
-    assert constant.noise == pytest.approx(STEP_BYTES / 56_000, rel=0.02)
+    assert constant.noise == pytest.approx(STEP_SLOPE * STEP_BYTES / 56_000, rel=0.02)
     with pytest.raises(ValueError, match="too few"):
         slope(done[:5], noise[:5])
+
+
+def test_one_arena_more_is_no_growth_and_many_are() -> None:
+    """A leak into arenas is a staircase; a single step is what any run may show, wherever it lies."""
+    done = [1000.0 * n for n in range(1, 81)]
+    for at in range(25_000, 80_000, 1000):
+        assert slope(done, [50e6 + STEP_BYTES * (x > at) for x in done]).flat, at
+    stairs = slope(done, [50e6 + STEP_BYTES * (100 * x // STEP_BYTES) for x in done])
+    assert not stairs.flat
+    assert stairs.per_unit == pytest.approx(100, abs=20)
 
 
 def test_noise_that_hangs_together_is_wider() -> None:
