@@ -1,4 +1,7 @@
-"""A server of one's own: a child process on a free loopback port, for measurements, the demo and tests."""
+"""A server of one's own: a child process on a free loopback port, for measurements, the demo and tests.
+
+It ends with the process that started it, killed or not.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,17 @@ from typing import Self
 START_S = 180.0
 STOP_S = 20.0
 POLL_S = 0.05
-SERVE = "import sys; from mfcmt_core.cli import main; sys.exit(main(['serve']))"
+# Its standard input ends with the process that started it, however that one ends.
+SERVE = """
+import os, signal, sys, threading
+def follow():
+    while os.read(0, 1):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+threading.Thread(target=follow, daemon=True).start()
+from mfcmt_core.cli import main
+sys.exit(main(['serve']))
+"""
 
 
 class ServerFailed(Exception):
@@ -86,7 +99,7 @@ class OwnServer:
             self._process = subprocess.Popen(  # noqa: S603
                 [sys.executable, "-c", SERVE],
                 env=environment,
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=log,
             )
@@ -106,6 +119,8 @@ class OwnServer:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        assert self._process.stdin is not None
+        self._process.stdin.close()
 
     def _wait_until_ready(self) -> None:
         give_up = time.monotonic() + self._start_s

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-# What the allocator asks of the system at once, an arena of CPython's: a smaller growth over a whole run cannot be seen.
+# An arena of CPython's, which its allocator asks the system for at once: no run can see a smaller growth.
 STEP_BYTES = 1024 * 1024
-# The slope of the line through one step is at most this often the step over the length: with the step in the middle.
+# The line through one step rises by at most this share of the step over the length: with the step in the middle.
 STEP_SLOPE = 1.5
 # Of the run, before memory has settled: caches, tombstones and trajectories fill up to their bounds.
 WARM_UP = 0.3
