@@ -19,12 +19,17 @@ BINS = 32
 """Bins a channel (section IV-A)."""
 MAX_GAIN = np.float32(1e9)
 """Of the histograms; beyond it they are scaled back to 1."""
+BAND = 0.1
+"""Width of the band around a box, of the box's sides."""
 SEEN = 1e-12
 """Part of both regions from which on a colour counts as seen then."""
 
 
 class ColorModel:
     """Says of each pixel how likely its colour belongs to the target, and where a box of such pixels lies.
+
+    Equation 7's mean over a box is as high wherever the box lies inside a larger region of such colours. So a part of
+    the mean over a band around the box is taken from it: a box that holds the target has none of it around.
 
     The foreground is the middle 85 % of the target's sides, the background the window outside the whole
     target; the ring between belongs to neither. Each histogram has sum 1, which makes equation 6 the
@@ -49,16 +54,24 @@ class ColorModel:
         self.inner = _centered(side, w * config.foreground_fraction, h * config.foreground_fraction)
         self.outer = _centered(side, w, h)
         self.box = (self.outer[3] - self.outer[1], self.outer[2] - self.outer[0])  # (w, h)
+        self.band = tuple(max(1, round(BAND * length)) for length in self.box)
+        self.band_weight = np.float32(config.surroundings_weight)
         (rx, ry), (bw, bh) = window.reach, self.box
         steps_x, steps_y = np.arange(-rx, rx + 1) * CELL, np.arange(-ry, ry + 1) * CELL
         self.columns = np.clip((side - bw) // 2 + steps_x, 0, side - bw)
         self.rows = np.clip((side - bh) // 2 + steps_y, 0, side - bh)
 
     def respond(self, bins: Bins, out: npt.NDArray[np.float32]) -> None:
-        """Mean likelihood of the target's box at each displacement into ``out``, in [0, 1]."""
+        """How much likelier the colours of the target's box are than those around it, at each displacement.
+
+        Into ``out`` (2·ry + 1, 2·rx + 1), from -weight of the surroundings to 1.
+        """
         height, width = bins.shape
         integral = scratch("integral", (height + 1, width + 1))
-        likelihood_map(bins, self.lookup, integral, self.rows, self.columns, self.box[1], self.box[0], out)
+        likelihood_map(
+            bins, self.lookup, integral, self.rows, self.columns, self.box[1], self.box[0],
+            self.band[1], self.band[0], self.band_weight, out,
+        )  # fmt: skip
 
     def learn(self, bins: Bins, offset: tuple[float, float] = (0, 0), first: bool = False) -> None:
         """Move both histograms towards those of a patch of the target (equation 11), ``offset`` (x, y) cells off it."""

@@ -59,6 +59,8 @@ class MFCMTConfig:
     """η_s of equation 11."""
     unseen_likelihood: float = 0.0
     """Equation 6 for colours that neither region has shown."""
+    surroundings_weight: float = 0.5
+    """Of the mean likelihood in a band around a box, what is taken from the box's own; 0: equation 7 alone."""
 
     # Fusion (section III-B, equations 8–10)
     probability: Literal["clip", "minimum", "raw"] = "minimum"
@@ -123,6 +125,7 @@ class MFCMTConfig:
             template_learning_rate=0.02,
             average="filter",
             background_interval=0,
+            surroundings_weight=0.0,
             probability="clip",
             sharpness=1,
             statistical_weight=1.0,
@@ -210,6 +213,7 @@ _RANGES: dict[str, tuple[type, float, float]] = {
     "background_interval": (int, 0, 1_000_000),
     "histogram_learning_rate": (float, 0, 1),
     "unseen_likelihood": (float, 0, 1),
+    "surroundings_weight": (float, 0, 1),
     "sharpness": (int, 1, 2),
     "statistical_weight": (float, 0, 1e3),
     "fused_threshold": (float, 0, 10),

@@ -24,8 +24,8 @@ FORMAT = "mfcmt-tracker"
 VERSION = 4
 PREVIOUS = 3
 """Held the scale filter as real waves, and no anchor. Read, not written."""
-SINCE = {"scale_interval": 1}
-"""A parameter that it did not know, as it had it."""
+SINCE = {"scale_interval": 1, "surroundings_weight": 0.0}
+"""Parameters that it did not know, as it had them."""
 MAX_VALUE = 1e12
 """Of any array: far above what images give, and responses to it stay inside float32."""
 SIGNED = ("scale_waves",)

@@ -113,7 +113,35 @@ def box_means(integral, rows, columns, box_height, box_width, out):  # type: ign
 
 
 @kernel
-def likelihood_map(bins, lookup, integral, rows, columns, box_height, box_width, out):  # type: ignore[no-untyped-def]
-    """:func:`look_up` and :func:`box_means` in one call."""
+def subtract_bands(  # type: ignore[no-untyped-def]
+    integral, rows, columns, box_height, box_width, band_height, band_width, weight, out
+):
+    """Take from each box's mean in ``out`` the mean over the band around that box, times ``weight``.
+
+    The band counts as far as it lies in the patch, and not at all where it lies outside.
+    """
+    height, width = integral.shape[0] - 1, integral.shape[1] - 1
+    box_area = box_height * box_width
+    for i in range(rows.size):
+        top, bottom = max(rows[i] - band_height, 0), min(rows[i] + box_height + band_height, height)
+        upper, lower = integral[top], integral[bottom]
+        upper_box, lower_box = integral[rows[i]], integral[rows[i] + box_height]
+        for j in range(columns.size):
+            left, right = max(columns[j] - band_width, 0), min(columns[j] + box_width + band_width, width)
+            area = (bottom - top) * (right - left) - box_area
+            if area > 0:
+                west, east = columns[j], columns[j] + box_width
+                box = lower_box[east] - lower_box[west] - upper_box[east] + upper_box[west]
+                both = lower[right] - lower[left] - upper[right] + upper[left]
+                out[i, j] -= weight * (both - box) / np.float32(area)
+
+
+@kernel
+def likelihood_map(  # type: ignore[no-untyped-def]
+    bins, lookup, integral, rows, columns, box_height, box_width, band_height, band_width, weight, out
+):
+    """:func:`look_up`, :func:`box_means` and, where it has a weight, :func:`subtract_bands` in one call."""
     look_up(bins, lookup, integral)
     box_means(integral, rows, columns, box_height, box_width, out)
+    if weight != 0:
+        subtract_bands(integral, rows, columns, box_height, box_width, band_height, band_width, weight, out)

@@ -120,6 +120,19 @@ def box_means(likelihood, rows, columns, height, width):
     return np.array([[likelihood[r : r + height, c : c + width].mean() for c in columns] for r in rows])
 
 
+def box_contrasts(likelihood, rows, columns, box, band, weight):
+    """The mean in each box less ``weight`` times that of the band around it."""
+    height, width = likelihood.shape
+    out = np.empty((len(rows), len(columns)))
+    for i, r in enumerate(rows):
+        for j, c in enumerate(columns):
+            inside, around = np.zeros((2, height, width), bool)
+            inside[r : r + box[0], c : c + box[1]] = True
+            around[max(r - band[0], 0) : r + box[0] + band[0], max(c - band[1], 0) : c + box[1] + band[1]] = True
+            out[i, j] = likelihood[inside].mean() - weight * likelihood[around & ~inside].mean()
+    return out
+
+
 # --- correlation filters ---
 
 

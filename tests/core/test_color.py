@@ -101,7 +101,7 @@ def test_unseen_colours(unseen):
 
 @pytest.mark.parametrize("grey", [False, True])
 def test_equation_7_is_the_box_mean(grey):
-    m = model(grey=grey)
+    m = model(grey=grey, surroundings_weight=0)
     patch = few_colors(1)[..., 0].copy() if grey else few_colors(1)
     bins = m.bins(patch).copy()
     m.learn(bins, first=True)
@@ -110,6 +110,23 @@ def test_equation_7_is_the_box_mean(grey):
     width, height = m.box
     np.testing.assert_allclose(out, reference.box_means(m.lookup[bins], m.rows, m.columns, height, width), atol=1e-4)
     assert 0 <= out.min() <= out.max() <= 1 + 1e-4
+
+
+def test_a_band_of_the_same_colours_counts_against_a_box():
+    """Likely colours all over leave half of their likelihood; inside the box alone, all of it."""
+    m = model()
+    out = np.empty((len(m.rows), len(m.columns)), np.float32)
+    inside = np.zeros((100, 100), np.uint16)
+    m.lookup[:] = 1
+    m.respond(inside, out)
+    np.testing.assert_allclose(out, 0.5, atol=1e-4)
+    m.lookup[1] = 0
+    inside[:] = 1
+    inside[m.outer[0] : m.outer[2], m.outer[1] : m.outer[3]] = 0
+    m.respond(inside, out)
+    middle = len(m.rows) // 2, len(m.columns) // 2
+    assert np.unravel_index(out.argmax(), out.shape) == middle
+    assert out[middle] == pytest.approx(1, abs=1e-4)
 
 
 @pytest.mark.parametrize("shift", [(0, 0), (8, -4), (-12, 16)])
@@ -229,7 +246,7 @@ def test_every_shape_of_target_fits_its_patch(target, window, factor):
     m.learn(bins, first=True)
     out = np.full((len(m.rows), len(m.columns)), np.nan, np.float32)
     m.respond(bins, out)
-    assert ((out >= -1e-4) & (out <= 1 + 1e-4)).all()
+    assert ((out >= -CONFIG.surroundings_weight - 1e-4) & (out <= 1 + 1e-4)).all()
     width, height = m.box
     assert 0 <= m.rows.min() <= m.rows.max() <= 100 - height
     assert 0 <= m.columns.min() <= m.columns.max() <= 100 - width

@@ -186,8 +186,23 @@ def test_look_up_and_box_means(picture):
     color.box_means(integral, rows, columns, 31, 20, out)
     np.testing.assert_allclose(out, reference.box_means(lookup[bins], rows, columns, 31, 20), atol=1e-4)
     at_once = np.full_like(out, np.nan)
-    color.likelihood_map(bins, lookup, np.empty_like(integral), rows, columns, 31, 20, at_once)
+    color.likelihood_map(bins, lookup, np.empty_like(integral), rows, columns, 31, 20, 5, 3, np.float32(0), at_once)
     assert np.array_equal(at_once, out)
+    half = np.float32(0.5)
+    color.subtract_bands(integral, rows, columns, 31, 20, 5, 3, half, out)
+    np.testing.assert_allclose(
+        out, reference.box_contrasts(lookup[bins], rows, columns, (31, 20), (5, 3), 0.5), atol=1e-4
+    )
+    color.likelihood_map(bins, lookup, np.empty_like(integral), rows, columns, 31, 20, 5, 3, half, at_once)
+    assert np.array_equal(at_once, out)
+
+
+def test_a_box_that_fills_the_patch_has_no_band(picture):
+    bins = reference.bin_pixels(patch_of(picture, 40, 50)).astype(np.uint16)
+    lookup, one = np.random.default_rng(2).random(32**3).astype(np.float32), np.array([0])
+    integral, out = np.empty((41, 51), np.float32), np.empty((1, 1), np.float32)
+    color.likelihood_map(bins, lookup, integral, one, one, 40, 50, 4, 5, np.float32(1), out)
+    np.testing.assert_allclose(out, lookup[bins].mean(), rtol=1e-4)
 
 
 # --- fusion ---

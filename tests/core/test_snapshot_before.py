@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from mfcmt_core import MFCMT, BadSnapshot, MFCMTConfig, synthetic
-from mfcmt_core.snapshot import VERSION
+from mfcmt_core.snapshot import SINCE, VERSION
 
-AS_BEFORE = MFCMTConfig.default().replace(scale_interval=1)
+AS_BEFORE = MFCMTConfig.default().replace(**SINCE)
 LANES = 8
 """It padded the scales to each side to a multiple of this many."""
 
@@ -23,7 +23,9 @@ def as_version_3(tracker):
     """The document that it would have been: scales as waves, and no anchor."""
     document, target = msgpack.unpackb(tracker.to_bytes()), tracker._target
     document["version"] = 3
-    del document["anchor"], document["config"]["scale_interval"]
+    del document["anchor"]
+    for name in SINCE:
+        del document["config"][name]
     if target.sizes:
         del document["arrays"]["scale_mean"]
         document["arrays"] |= scales_as_waves(target.sizes)
