@@ -103,7 +103,7 @@ class Frame:
         x0, x1, left, right = _inside(x, w, step_x, within[0], within[2])
         y0, y1, top, bottom = _inside(y, h, step_y, within[1], within[3])
         ox, oy = self.offset
-        pixels = self.image[y0 - oy : y1 - oy : step_y, x0 - ox : x1 - ox : step_x]
+        pixels = _columns(self.image[y0 - oy : y1 - oy : step_y], x0 - ox, x1 - ox, step_x)
         if left or right or top or bottom:
             pixels = cv2.copyMakeBorder(  # type: ignore[assignment]
                 np.ascontiguousarray(pixels), top, bottom, left, right, cv2.BORDER_REPLICATE
@@ -111,6 +111,18 @@ class Frame:
         elif step_x > 1 or step_y > 1:
             pixels = np.ascontiguousarray(pixels)
         return cv2.resize(pixels, out_size, interpolation=cv2.INTER_LINEAR)  # type: ignore[return-value]
+
+
+def _columns(rows: Image, first: int, last: int, step: int) -> Image:
+    """``rows[:, first:last:step]``, by OpenCV where that is a copy, which takes NumPy five times as long."""
+    if step == 1:
+        return rows[:, first:last]
+    count = (last - 1 - first) // step + 1
+    missing = first + count * step - rows.shape[1]
+    wide = rows[:, first : first + count * step]
+    if missing > 0:  # behind the last column that is taken
+        wide = cv2.copyMakeBorder(wide, 0, 0, 0, missing, cv2.BORDER_CONSTANT)  # type: ignore[assignment]
+    return cv2.resize(wide, (count, len(rows)), interpolation=cv2.INTER_NEAREST)  # type: ignore[return-value]
 
 
 def _inside(start: int, length: int, step: int, low: int, extent: int) -> tuple[int, int, int, int]:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mfcmt_core import BadBox, BadImage, MFCMTConfig, RegionTooSmall
-from mfcmt_core.geometry import Frame, SearchWindow, check_box, clip_rect, grow_rect
+from mfcmt_core.geometry import Frame, SearchWindow, _columns, check_box, clip_rect, grow_rect
 from mfcmt_core.target import Cut, Observation
 
 CONFIG = MFCMTConfig.default()
@@ -101,6 +101,24 @@ def test_sample_repeats_the_border_of_the_region(rect, region, out_size, in_colo
     assert np.array_equal(Frame.of(masked).sample(rect, within, out_size), sampled)
     cut = np.ascontiguousarray(image[y : y + h, x : x + w])
     assert np.array_equal(Frame.of(cut, (x, y), (80, 60)).sample(rect, within, out_size), sampled)
+
+
+@pytest.mark.parametrize("step", [1, 2, 3, 7, 49])
+@pytest.mark.parametrize("kind", ["whole", "upside down", "mirrored", "thinned", "other channels", "by columns"])
+def test_columns_are_those_of_a_slice(step, kind):
+    """Also at steps that do not divide the width, and whose reciprocal's reciprocal is not they."""
+    image = np.random.default_rng(step).integers(0, 256, (20, 301, 3), np.uint8)
+    rows = {
+        "whole": image,
+        "upside down": image[::-1],
+        "mirrored": image[:, ::-1],
+        "thinned": image[::3, ::2],
+        "other channels": image[..., ::-1],
+        "by columns": np.asfortranarray(image),
+    }[kind]
+    width = rows.shape[1]
+    for first, last in [(0, width), (5, width), (width - 1, width), (3, 4), (10, width - 9)]:
+        assert np.array_equal(_columns(rows, first, last, step), rows[:, first:last:step])
 
 
 def test_frame_says_what_it_needs():
