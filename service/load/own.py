@@ -20,7 +20,8 @@ from typing import Self
 START_S = 180.0
 STOP_S = 20.0
 POLL_S = 0.05
-# Its standard input ends with the process that started it, however that one ends.
+# Its standard input ends with the process that started it, however that one ends. (What the kernel can signal at a
+# parent's death follows the thread that started it, which may end long before.)
 SERVE = """
 import os, signal, sys, threading
 def follow():

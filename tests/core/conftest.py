@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mfcmt_core import synthetic
+from mfcmt_core import MFCMT, synthetic
 
 
 @pytest.fixture(scope="session")
@@ -19,6 +19,15 @@ def clip() -> synthetic.Sequence:
 def frames(clip) -> list[np.ndarray]:
     """The first 40 frames of :func:`clip`."""
     return clip.frames[:40]
+
+
+@pytest.fixture(scope="session")
+def data(frames, clip) -> bytes:
+    """A snapshot in the middle of :func:`clip`."""
+    tracker = MFCMT()
+    for _ in tracker.track(frames[:13], clip.boxes[0]):
+        pass
+    return tracker.to_bytes()
 
 
 @pytest.fixture(scope="session", params=["rendered", "noise", "flat", "real"])
