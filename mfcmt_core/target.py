@@ -133,6 +133,10 @@ class Target:
             return self._shows(seen.cut, self.center)
         return self._is_alike(seen.cut.scale) and max(map(abs, seen.offset(self.center))) <= self.learn_within
 
+    def would_see_again(self, seen: Observation, cut: Cut) -> bool:
+        """Whether :meth:`observe` at the centre, from ``cut`` or anew, is sure to give ``seen``."""
+        return self.is_near(seen) and (seen.cut is cut or seen.cut.scale == self.scale)
+
     def _is_alike(self, scale: float) -> bool:
         """Whether the present scale is at most one step from ``scale``."""
         return 1 / self.largest_step <= self.scale / scale <= self.largest_step

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from operator import attrgetter
 
 import numpy as np
 import numpy.typing as npt
@@ -37,11 +38,17 @@ class Found:
     psr: float
 
 
-Look = tuple[Observation, Found]
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What the window around one place showed and where its maps peak; ``closer`` is the window there, if seen."""
 
+    seen: Observation
+    found: Found
+    closer: Observation | None = None
 
-def _strength(look: Look) -> tuple[float, float]:
-    return look[1].peaks.strength
+    @property
+    def strength(self) -> tuple[float, float]:
+        return self.found.peaks.strength
 
 
 class MFCMT:
@@ -108,7 +115,8 @@ class MFCMT:
         within = self.needed_region()
         frame.require(within)
 
-        seen, found = self._search(target, frame, within)
+        look = self._search(target, frame, within)
+        seen, found = look.seen, look.found
         kept = self._copy_maps(target, frame, seen) if maps else None
         verdict = target.reliability.judge(found.peaks)
         if verdict.status == "lost":
@@ -119,7 +127,10 @@ class MFCMT:
         if verdict.reliable:
             target.anchor = target.center
             if not target.is_near(seen):
-                seen = target.observe(frame, within, target.center, seen.cut)
+                closer = look.closer
+                if closer is None or not target.would_see_again(closer, seen.cut):
+                    closer = target.observe(frame, within, target.center, seen.cut)
+                seen = closer
             target.learn(seen)
             target.reliability.learned_from(found.peaks)
         return TrackResult(
@@ -183,23 +194,24 @@ class MFCMT:
             best = first
             if target.color:
                 proposed = look(propose(target.color, frame, target.base_size, target.scale))
-                best = max(first, proposed, key=_strength)
-            return look(best[1].center)  # a second look from there: the surroundings at their place, too
+                best = max(first, proposed, key=attrgetter("strength"))
+            return look(best.found.center)  # a second look from there: the surroundings at their place, too
         was_doubtful, target.reliability.doubtful = target.reliability.doubtful, False
-        if not target.reliability.doubts(first[1].peaks):
+        if not target.reliability.doubts(first.found.peaks):
             return first
         elsewhere = other_peak(target.maps()[1], target.window.target)
         centred = first
-        if not first[0].is_central(first[1].center):  # off the middle of the window a target's peak is lower
-            centred = look(first[1].center, first[0].cut)
-            if not target.reliability.doubts(centred[1].peaks):
+        if not first.seen.is_central(first.found.center):  # off the middle of the window a target's peak is lower
+            centred = look(first.found.center, first.seen.cut)
+            first = replace(first, closer=centred.seen)
+            if not target.reliability.doubts(centred.found.peaks):
                 return first
         target.reliability.doubtful = True
         if was_doubtful:
             other = self._look_aside(target, frame, look, centred)
         else:
-            other = look(first[0].displaced(elsewhere)) if elsewhere else None
-        if other is None or other[1].peaks.template <= self.config.doubt_margin * centred[1].peaks.template:
+            other = look(first.seen.displaced(elsewhere)) if elsewhere else None
+        if other is None or other.found.peaks.template <= self.config.doubt_margin * centred.found.peaks.template:
             return first
         return other
 
@@ -210,12 +222,12 @@ class MFCMT:
         if not (0 <= x <= frame.size[0] and 0 <= y <= frame.size[1]):
             return None
         aside = look((x, y))
-        return look(aside[1].center, aside[0].cut) if _strength(aside) > _strength(centred) else None
+        return look(aside.found.center, aside.seen.cut) if aside.strength > centred.strength else None
 
     def _look(self, target: Target, frame: Frame, within: Rect, place: Point, cut: Cut | None = None) -> Look:
         """What the window around ``place`` shows and where its fused map peaks."""
         seen = target.observe(frame, within, place, cut)
-        return seen, self._detect(target, frame, seen)
+        return Look(seen, self._detect(target, frame, seen))
 
     def _detect(self, target: Target, frame: Frame, seen: Observation) -> Found:
         """Lines 5–7 of Algorithm 1: respond, fuse, take the peak."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import cv2
 import numpy as np
@@ -12,7 +13,9 @@ from hypothesis import strategies as st
 
 from mfcmt_core import MFCMT, BadBox, MFCMTConfig, TrackResult, synthetic
 from mfcmt_core.otb.metrics import overlap
+from mfcmt_core.reliability import Reliability
 from mfcmt_core.scale import ScaleModel
+from mfcmt_core.target import Observation, Target
 
 from .helpers import ALERT, PRESETS, assert_sane, boxes_of, track
 
@@ -256,6 +259,26 @@ def test_a_cut_to_another_scene_is_not_learned(frames, clip):
     result = tracker.update(noise)
     assert (result.status, result.updated) == ("uncertain", False)
     assert result.scale == tracker.update(noise).scale
+
+
+def test_what_a_second_look_saw_is_learned_without_a_third(frames, clip, monkeypatch):
+    """Where a doubtful target was looked at once more, in the middle of its window, that window is at hand."""
+    answers = itertools.cycle([True, False])
+    monkeypatch.setattr(Reliability, "doubts", lambda *_: next(answers))
+    monkeypatch.setattr(Observation, "is_central", lambda *_: False)
+    observe, calls = Target.observe, []
+
+    def counted(*args):
+        calls.append(args)
+        return observe(*args)
+
+    monkeypatch.setattr(Target, "observe", counted)
+    results = track(DEFAULT, frames[::2], clip.boxes[0])
+    looks = len(calls)
+    calls.clear()
+    monkeypatch.setattr(Target, "would_see_again", lambda *_: False)
+    assert track(DEFAULT, frames[::2], clip.boxes[0]) == results
+    assert len(calls) > looks
 
 
 # --- the interface ---
