@@ -86,6 +86,10 @@ class Frame:
         """The part of the frame that the image shows."""
         return (*self.offset, self.image.shape[1], self.image.shape[0])
 
+    def contains(self, place: tuple[float, float]) -> bool:
+        """Whether ``place`` lies in the frame."""
+        return 0 <= place[0] <= self.size[0] and 0 <= place[1] <= self.size[1]
+
     def require(self, needed: Rect) -> None:
         """Raises RegionTooSmall unless the image shows all of ``needed``."""
         x, y, w, h = self.rect

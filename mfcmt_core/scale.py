@@ -38,10 +38,14 @@ class ScaleModel:
 
     Spectra are half spectra along the n samples, (cells, 31, n // 2 + 1) complex64, and count from the present scale,
     so that the symmetric label's is real.
+
+    ``waited`` counts the frames learned from since the scale was searched last.
     """
 
     def __init__(self, config: MFCMTConfig, base_size: tuple[float, float]) -> None:
         n = self.count = min(config.scale_samples, config.num_scales)
+        self.interval = config.scale_interval
+        self.waited = 0
         self.rate = np.float32(config.scale_learning_rate)
         self.regularization = np.float32(config.scale_regularization)
         self.epsilon = np.float32(config.hog_epsilon)
@@ -70,6 +74,18 @@ class ScaleModel:
         cells = (self.width // CELL) * (self.height // CELL)
         self.mean: Spectra = np.zeros((cells, CHANNELS, len(frequencies)), np.complex64)
         self.energy = np.zeros(len(frequencies), np.float32)
+
+    def takes_turn(self, busy: bool) -> bool:
+        """One more frame is learned from: whether it is one to search.
+
+        Every ``interval``-th is, but a ``busy`` one, which has had more to do than others, leaves it to the next,
+        until twice the interval has passed.
+        """
+        self.waited += 1
+        if self.waited < self.interval * (2 if busy else 1):
+            return False
+        self.waited = 0
+        return True
 
     def estimate(self, spectra: Spectra) -> float:
         """The factor by which the target's size differs from the one that ``spectra`` were taken at."""

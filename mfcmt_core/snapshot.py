@@ -44,6 +44,8 @@ class State:
     center: tuple[float, float]
     anchor: tuple[float, float]
     scale: float
+    rival: tuple[float, float] | None
+    waited: int
     reliability: dict[str, Any]
     arrays: dict[str, Any]
 
@@ -61,6 +63,8 @@ def dump(config: MFCMTConfig, target: Target, frame_size: tuple[int, int]) -> by
         "center": list(target.center),
         "anchor": list(target.anchor),
         "scale": target.scale,
+        "rival": target.rival,
+        "waited": target.sizes.waited if target.sizes else 0,
         "reliability": {
             "history": [list(peaks) for peaks in r.history],
             "usual": list(r.usual),
@@ -106,6 +110,9 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
             "doubtful": _boolean(r["doubtful"]),
         }
         scale = _number(document["scale"], 1e-6, 1e10)
+        # the first of this version had neither: every so many-th learned frame was searched, whatever it was
+        rival = document.get("rival")
+        waited = document.get("waited", r["learned"] % config.scale_interval)
         state = State(
             document["version"],
             (w, h),
@@ -113,6 +120,8 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
             center,
             anchor,
             scale,
+            None if rival is None else _place(rival, (width, height)),
+            _integer(waited, 0, 1 << 62),
             reliability,
             dict(document["arrays"]),
         )
@@ -129,6 +138,9 @@ def restore(target: Target, state: State) -> None:
     for name, array in expected.items():
         _unpack(name, state.arrays[name], array)
     target.center, target.anchor, target.scale = state.center, state.anchor, state.scale
+    target.rival = state.rival
+    if target.sizes:
+        target.sizes.waited = state.waited
     for name, value in state.reliability.items():
         setattr(target.reliability, name, value)
     if target.sizes and state.version == PREVIOUS:

@@ -75,7 +75,7 @@ class Observation:
 class Target:
     """The models of one target and where it is: what :meth:`MFCMT.init` builds.
 
-    ``anchor`` is its centre in the last reliable frame.
+    ``anchor`` is its centre in the last reliable frame; ``rival`` a place that peaked higher in the last frame.
     """
 
     def __init__(self, config: MFCMTConfig, base_size: Point, grey: bool) -> None:
@@ -83,6 +83,7 @@ class Target:
         self.base_size = base_size
         self.center: Point = (0.0, 0.0)
         self.anchor: Point = (0.0, 0.0)
+        self.rival: Point | None = None
         self.scale = 1.0
         self.window = SearchWindow(config, base_size)
         cues = [c for c in config.features if not (grey and c == "color_names")]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import attrgetter
@@ -190,6 +190,7 @@ class MFCMT:
         """Where the fused map peaks: around the last place, and elsewhere while the target may not be there."""
         look = partial(self._look, target, frame, within)
         first = look(target.center)
+        rival, target.rival = target.rival, None
         if target.reliability.lost:
             best = first
             if target.color:
@@ -199,7 +200,11 @@ class MFCMT:
         was_doubtful, target.reliability.doubtful = target.reliability.doubtful, False
         if not target.reliability.doubts(first.found.peaks):
             return first
-        elsewhere = other_peak(target.maps()[1], target.window.target)
+        if not was_doubtful:
+            peak = other_peak(target.maps()[1], target.window.target)
+            rival = first.seen.displaced(peak) if peak else None
+        elif rival is None:
+            rival = self._aside(target)
         centred = first
         if not first.seen.is_central(first.found.center):  # off the middle of the window a target's peak is lower
             centred = look(first.found.center, first.seen.cut)
@@ -207,22 +212,19 @@ class MFCMT:
             if not target.reliability.doubts(centred.found.peaks):
                 return first
         target.reliability.doubtful = True
-        if was_doubtful:
-            other = self._look_aside(target, frame, look, centred)
-        else:
-            other = look(first.seen.displaced(elsewhere)) if elsewhere else None
-        if other is None or other.found.peaks.template <= self.config.doubt_margin * centred.found.peaks.template:
+        if rival is None or not frame.contains(rival):
             return first
-        return other
+        other = look(rival)
+        if other.found.peaks.template > self.config.doubt_margin * centred.found.peaks.template:
+            return other
+        if other.strength > centred.strength:  # and higher still where it is central: in the next frame
+            target.rival = other.found.center
+        return first
 
-    def _look_aside(self, target: Target, frame: Frame, look: Callable[..., Look], centred: Look) -> Look | None:
-        """What half a window aside peaks higher than ``centred``: one side a frame, in turn, to keep each one short."""
+    def _aside(self, target: Target) -> Point:
+        """The place half a window aside: one side a frame, in turn, to keep each one short."""
         side = (target.reliability.learned + target.reliability.unreliable_run) % 4
-        x, y = target.window.neighbour(target.center, target.scale, side)
-        if not (0 <= x <= frame.size[0] and 0 <= y <= frame.size[1]):
-            return None
-        aside = look((x, y))
-        return look(aside.found.center, aside.seen.cut) if aside.strength > centred.strength else None
+        return target.window.neighbour(target.center, target.scale, side)
 
     def _look(self, target: Target, frame: Frame, within: Rect, place: Point, cut: Cut | None = None) -> Look:
         """What the window around ``place`` shows and where its fused map peaks."""
@@ -250,7 +252,7 @@ class MFCMT:
         sizes = target.sizes
         if sizes is None or not (verdict.reliable or not self.config.scale_when_reliable):
             return
-        if verdict.reliable and (target.reliability.learned + 1) % self.config.scale_interval:
+        if verdict.reliable and not sizes.takes_turn(busy=target.reliability.doubtful):
             return
         spectra = sizes.spectra(frame, within, target.center, target.scale)
         scale = sizes.clamp(target.scale * sizes.estimate(spectra), frame.size)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ from mfcmt_core.otb.dataset import open_otb
 from mfcmt_core.otb.metrics import overlap
 from mfcmt_core.redetection import other_peak
 from mfcmt_core.reliability import Peaks
-from mfcmt_core.tracker import ATTENTION, WIDE_ATTENTION, Found
+from mfcmt_core.tracker import ATTENTION, WIDE_ATTENTION
 
 from .helpers import boxes_of
 from .test_regions import compare
@@ -47,7 +49,7 @@ def follow(config, frames, boxes, count):
 
 @pytest.mark.parametrize("windows", [0.6, -0.65])
 def test_a_jump_beyond_the_window_is_followed_within_six_frames(clip, windows):
-    """One leaves doubts, four look to a side each."""
+    """One leaves doubts, four look to a side each, the last to what one of them has shown."""
     frames, boxes = jumped(clip, windows)
     _, results = follow(DEFAULT, frames, boxes, STEADY + 6)
     assert iou(results[STEADY - 2].box, boxes[STEADY - 1]) > 0.7
@@ -68,82 +70,105 @@ def test_doubts_widen_what_the_next_frame_needs(clip):
     assert wide[2] <= WIDE_ATTENTION * w * tracker._target.scale + 2
 
 
-@pytest.mark.parametrize("windows", [0.5, 0.6])
+@pytest.mark.parametrize("windows", [0.5, 0.6, -0.65])
 def test_pixels_outside_of_what_is_needed_change_nothing(clip, windows):
     frames, boxes = jumped(clip, windows)
     assert "uncertain" in compare(DEFAULT, frames[: STEADY + 6], boxes[0])
 
 
-def test_a_snapshot_remembers_doubts(clip):
-    frames, boxes = jumped(clip, 0.6)
-    tracker, _ = follow(DEFAULT, frames, boxes, STEADY + 1)
-    assert tracker._target.reliability.doubtful
-    again = MFCMT.from_bytes(tracker.to_bytes())
-    for frame in frames[STEADY + 1 : STEADY + 5]:
-        assert again.update(frame) == tracker.update(frame)
+def test_a_snapshot_remembers_doubts_and_rivals(clip):
+    frames, boxes = jumped(clip, -0.65)
+    _, plain = follow(DEFAULT, frames, boxes, STEADY + 8)
+    tracker, _ = follow(DEFAULT, frames, boxes, STEADY)
+    doubts, rivals = [], []
+    for at in range(STEADY, STEADY + 6):
+        tracker.update(frames[at])
+        again = MFCMT.from_bytes(tracker.to_bytes())
+        assert again._target.rival == tracker._target.rival
+        assert [again.update(frame) for frame in frames[at + 1 : STEADY + 8]] == plain[at:]
+        doubts.append(tracker._target.reliability.doubtful)
+        rivals.append(tracker._target.rival is not None)
+    assert any(doubts)
+    assert any(rivals)
 
 
 @pytest.fixture
 def search(clip, monkeypatch):
     """A search of the frame after the steady ones whose every look finds what it is told to.
 
-    A function of whether the last frame left doubts and of (template peak over the usual one, displacement) a look,
-    the last for all others; it returns the places and cuts that were looked at, all looks, and the one chosen.
+    A function of whether the last frame left doubts, its rival, and (template peak over the usual one, displacement) a
+    look, the last for all others; it returns the places and cuts that were looked at, all looks, and the one chosen.
     """
     tracker, _ = follow(DEFAULT, *jumped(clip, 0.0), STEADY)
     target = tracker._target
     frame, within = Frame.of(clip.frames[STEADY]), (0, 0, *clip.frames[STEADY].shape[1::-1])
 
-    def run(was_doubtful, *told):
+    def run(was_doubtful, *told, rival=None):
         asked, looks, real = [], [], MFCMT._look
 
         def look(self, target, frame, within, place, cut=None):
-            seen, found = real(self, target, frame, within, place, cut)
+            true = real(self, target, frame, within, place, cut)
             part, displacement = told[min(len(looks), len(told) - 1)]
-            peaks = Peaks(found.peaks.fused, part * target.reliability.usual[0], 0.5)
-            looks.append((seen, Found(seen.displaced(displacement), peaks, found.psr)))
+            peaks = Peaks(true.found.peaks.fused, part * target.reliability.usual[0], 0.5)
+            found = replace(true.found, center=true.seen.displaced(displacement), peaks=peaks)
+            looks.append(replace(true, found=found))
             asked.append((place, cut))
             return looks[-1]
 
         monkeypatch.setattr(MFCMT, "_look", look)
-        target.reliability.doubtful = was_doubtful
-        return asked, looks, tracker._search(target, frame, within)
+        target.reliability.doubtful, target.rival = was_doubtful, rival
+        chosen = tracker._search(target, frame, within)
+        return asked, looks, chosen, target.rival
 
     return run
 
 
 def test_without_doubts_one_look_is_enough(search):
     for was_doubtful in (False, True):
-        _, looks, chosen = search(was_doubtful, (0.7, (3, 0)))
+        _, looks, chosen, rival = search(was_doubtful, (0.7, (3, 0)), rival=(50.0, 50.0))
         assert looks == [chosen]
+        assert rival is None
 
 
 @pytest.mark.parametrize(("displacement", "again"), [((0.5, -0.9), False), ((1.2, 0), True), ((0, -3), True)])
 def test_a_peak_in_the_middle_of_its_window_is_not_looked_at_again(search, displacement, again):
     """Further off the window is moved to it, in the same cut."""
-    asked, looks, chosen = search(False, (0.3, displacement), (0.4, (0, 0)))
-    first_seen, first_found = looks[0]
+    asked, looks, chosen, _ = search(False, (0.3, displacement), (0.4, (0, 0)))
+    first = looks[0]
     centred = [(place, cut) for place, cut in asked if cut is not None]
-    assert centred == ([(first_found.center, first_seen.cut)] if again else [])
-    assert chosen is looks[0]
+    assert centred == ([(first.found.center, first.seen.cut)] if again else [])
+    assert chosen.seen is first.seen
+    assert chosen.closer is (looks[1].seen if again else None)
 
 
 def test_a_centred_look_may_end_the_doubts(search):
-    asked, looks, chosen = search(False, (0.3, (3, 0)), (0.9, (0, 0)))
+    asked, looks, chosen, rival = search(False, (0.3, (3, 0)), (0.9, (0, 0)))
     assert len(asked) == 2
-    assert chosen is looks[0]
+    assert chosen.seen is looks[0].seen
+    assert rival is None
 
 
-@pytest.mark.parametrize(("neighbour", "last", "moves"), [(0.3, None, False), (0.4, 0.5, False), (0.4, 0.9, True)])
-def test_a_neighbour_is_looked_at_again_only_if_it_beats_the_middle(search, neighbour, last, moves):
-    """And the target moves there only where it is twice as high."""
-    told = [(0.35, (0, 0)), (neighbour, (1, 1))] + ([(last, (0, 0))] if last else [])
-    asked, looks, chosen = search(True, *told)
+@pytest.mark.parametrize(("peak", "moves", "remembered"), [(0.3, False, False), (0.4, False, True), (0.9, True, False)])
+@pytest.mark.parametrize("off", [(0, 0), (3, 0)])
+def test_another_place_must_be_twice_as_high_and_is_remembered_if_it_is_higher(search, peak, moves, remembered, off):
+    """With the middle of the target's own, three looks at most."""
+    told = [(0.35, off)] + ([(0.35, (0, 0))] if any(off) else []) + [(peak, (1, 1))]
+    asked, looks, chosen, rival = search(True, *told)
     assert len(looks) == len(told)
-    assert [cut for _, cut in asked[:2]] == [None] * 2
-    if last:
-        assert asked[2] == (looks[1][1].center, looks[1][0].cut)
-    assert chosen is looks[2 if moves else 0]
+    assert asked[-1][1] is None
+    assert chosen.seen is looks[-1 if moves else 0].seen
+    assert rival == (looks[-1].found.center if remembered else None)
+
+
+def test_a_place_remembered_is_looked_at_before_any_other(search):
+    asked, _, _, rival = search(True, (0.3, (0, 0)), rival=(50.0, 60.0))
+    assert [place for place, _ in asked[1:]] == [(50.0, 60.0)]
+    assert rival is None
+
+
+def test_places_outside_of_the_frame_are_not_looked_at(search):
+    asked, _, _, _ = search(True, (0.3, (0, 0)), rival=(-1.0, 60.0))
+    assert len(asked) == 1
 
 
 def test_lasting_doubts_look_to_all_four_sides_in_turn(clip):

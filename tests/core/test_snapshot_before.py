@@ -20,10 +20,11 @@ def packed(values):
 
 
 def as_version_3(tracker):
-    """The document that it would have been: scales as waves, and no anchor."""
+    """The document that it would have been: scales as waves, no anchor, no rival and no turn of the scale."""
     document, target = msgpack.unpackb(tracker.to_bytes()), tracker._target
     document["version"] = 3
-    del document["anchor"]
+    for name in ("anchor", "rival", "waited"):
+        del document[name]
     for name in SINCE:
         del document["config"][name]
     if target.sizes:
@@ -75,6 +76,18 @@ def test_the_version_before_is_read(changes, grey):
     for frame in sequence.frames[13:20]:
         assert restored.update(frame) == tracker.update(frame)
     assert MFCMT.from_bytes(restored.to_bytes()).to_bytes() == restored.to_bytes()
+
+
+@pytest.mark.parametrize("seen", [13, 14])
+def test_the_first_of_this_version_is_read(seen):
+    """It said nothing of rivals or of when the scale was searched: in every second frame that was learned from."""
+    sequence = synthetic.clip("motion")
+    tracker = MFCMT()
+    for result in tracker.track(sequence.frames[:seen], sequence.boxes[0]):
+        assert result.updated
+    document = msgpack.unpackb(tracker.to_bytes())
+    assert (document.pop("rival"), document.pop("waited")) == (None, (seen - 1) % 2)
+    assert MFCMT.from_bytes(msgpack.packb(document)).to_bytes() == tracker.to_bytes()
 
 
 @pytest.mark.parametrize("version", [0, 1, 2, VERSION + 1])

@@ -64,7 +64,10 @@ def test_scale_follows_the_target():
     ids=["2", "paper", "1", "unreliable"],
 )
 def test_the_scale_is_searched_and_learned_in_every_so_many_th_learned_frame(config, monkeypatch):
-    """Frames that nothing is learned from do not count; where they may search it, too, each does."""
+    """Frames that nothing is learned from do not count; where they may search it, too, each does.
+
+    A learned frame in doubt leaves it to the next, but not for longer than twice the interval.
+    """
     called = []
 
     def spy(name):
@@ -82,18 +85,23 @@ def test_the_scale_is_searched_and_learned_in_every_so_many_th_learned_frame(con
     tracker = MFCMT(config)
     results = [tracker.init(sequence.frames[0], sequence.boxes[0])]
     assert called == ["learn"]
-    learned = 0
+    learned = waited = left = 0
     for frame in sequence.frames[1:]:
         called.clear()
         results.append(tracker.update(frame))
         learned += results[-1].updated
-        if results[-1].updated and learned % config.scale_interval == 0:
+        waited += results[-1].updated
+        doubtful = tracker._target.reliability.doubtful
+        if results[-1].updated and waited >= config.scale_interval * (2 if doubtful else 1):
             assert called == ["estimate", "learn"]
+            waited = 0
         elif not (results[-1].updated or config.scale_when_reliable):
             assert called == ["estimate"]
         else:
             assert called == []
             assert results[-1].scale == results[-2].scale
+            left += waited >= config.scale_interval
+    assert (left > 0) == (config.doubt_threshold > 0)
     assert 0 < learned < len(results) - 1
 
 
