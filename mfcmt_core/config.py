@@ -98,7 +98,7 @@ class MFCMTConfig:
     scale_step: float = 1.02
     """Ratio of neighbouring scales."""
     scale_interval: int = 2
-    """Searched and learned in every so many-th learned frame."""
+    """Searched and learned in every so many-th learned frame, later where that one looks at other places, too."""
     scale_learning_rate: float = 0.025
     scale_regularization: float = 1e-2
     scale_sigma_factor: float = 0.25

@@ -20,6 +20,8 @@ from .measure import Material, Timed, spread, timed_run, warm_up
 from .progress import Progress
 
 OURS = "MFCMT"
+PASSES = 3
+"""Of ours, for its slowest frames: each does the same again, and what one pass takes longer is the machine's."""
 FEWEST = 20
 """Updates that a peer must be alive for in a sequence, for its speed there to count."""
 
@@ -56,7 +58,7 @@ def measure(materials: Iterable[Material], preset: str) -> dict[str, Any]:
     medians: dict[str, dict[str, float]] = {e.name: {} for e in entries}
     alive: dict[str, list[float]] = {e.name: [] for e in entries}
     left_out = [f"{p.name}: {p.lacks} is not installed" for p in peers if p.lacks]
-    spreads: dict[str, float | None] = {}
+    spreads: dict[str, dict[str, float | None]] = {"one": {}, "least": {}}
     frames = 0
     with Progress(None) as bar:
         for turn, item in enumerate(materials):
@@ -72,7 +74,9 @@ def measure(materials: Iterable[Material], preset: str) -> dict[str, Any]:
                     continue
                 bar.step(f"{item.name} {entry.name}")
                 if entry.name == OURS:
-                    spreads[item.name] = spread(timed.cpu[1:][~timed.lost[1:]])
+                    again = [timed_run(entry.make(), item).cpu for _ in range(PASSES - 1)]
+                    for name, cpu in (("one", timed.cpu), ("least", np.min([timed.cpu, *again], axis=0))):
+                        spreads[name][item.name] = spread(cpu[1:][~timed.lost[1:]])
                 score = score_runs(item.sequence, [(Run("", 0, item.box), timed.boxes)])
                 scores[entry.name].scores[item.name] = score
                 counted = timed.cpu[1:][timed.alive[1:]]
@@ -87,7 +91,8 @@ def measure(materials: Iterable[Material], preset: str) -> dict[str, Any]:
     sequences = {name: {e.name: medians[e.name].get(name) for e in entries} for name in medians[OURS]}
     return {"preset": preset, "frames": frames, "trackers": rows} | {
         "median_ms": sequences,
-        "p99_over_median": spreads,
+        "p99_over_median": spreads["least"],
+        "p99_over_median_of_one_pass": spreads["one"],
         "left_out": left_out,
     }
 
@@ -119,6 +124,15 @@ def _behind(medians: dict[str, dict[str, float | None]]) -> list[str]:
     return [f"{name}: {', '.join(sequences)}" for name, sequences in faster.items()]
 
 
+def _middle_and_most(spreads: dict[str, float | None]) -> str:
+    """Of what each sequence has, for a person; empty where none has any."""
+    known = {name: s for name, s in spreads.items() if s is not None}
+    if not known:
+        return ""
+    worst = max(known, key=lambda name: known[name])
+    return f"{np.median(list(known.values())):.2f} and {known[worst]:.2f} ({worst})"
+
+
 def _geometric_mean(values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
     return float(np.exp(np.log(values).mean()))
 
@@ -136,16 +150,14 @@ def table(report: dict[str, Any]) -> str:
     for row in report["trackers"]:
         cells = (f"{row[key]:{w}.{digits}f}" if key in row else f"{'–':>{w}}" for _, key, w, digits in COLUMNS)
         lines.append(f"{row['name']:<14}" + "".join(cells))
-    spreads = {name: s for name, s in report["p99_over_median"].items() if s is not None}
-    if spreads:
-        worst = max(spreads, key=lambda name: spreads[name])
-        middle = float(np.median(list(spreads.values())))
+    if least := _middle_and_most(report["p99_over_median"]):
+        one = _middle_and_most(report["p99_over_median_of_one_pass"])
         lines += [
             "",
-            f"{OURS}, p99 over median where the target is not lost: {middle:.2f} in the middle of the sequences,",
+            f"{OURS}, p99 over median where the target is not lost, in the middle of the sequences and at most:",
+            f"{least}, of each frame the least of {PASSES} passes; {one} in one pass",
         ]
-        lines += [f"{spreads[worst]:.2f} at most ({worst}); slower than a peer on:"]
-        lines += [f"  {line}" for line in _behind(report["median_ms"])] or ["  none"]
+    lines += ["", "slower than a peer on:", *([f"  {line}" for line in _behind(report["median_ms"])] or ["  none"])]
     if report["left_out"]:
         lines += ["", "left out:", *(f"  {line}" for line in report["left_out"])]
     return "\n".join(lines)
