@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from service.frames import FrameError, FrameLimits
-from service.frames.decode import Image, decode
+from mfcmt_core.images import FrameError, FrameLimits
+from mfcmt_core.images.decode import Image, decode
 
 from . import images
 from .images import encode, jpeg, picture

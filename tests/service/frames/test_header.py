@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from service.frames import FrameError, FrameInfo, FrameLimits, inspect, sniff
+from mfcmt_core.images import FrameError, FrameInfo, FrameLimits, inspect, sniff
 
 from . import images
 from .images import encode, jpeg, patched, picture, riff, riff_chunk, segment, sof, vp8x, with_size
