@@ -152,8 +152,8 @@ class _Picture:
                 components[0].nonzero = np.zeros(count, np.uint64)
             nonzero = components[0].nonzero
         ends = np.zeros((-(-count // self._restart) if self._restart else 1, 2), np.int64)
-        state, tables = np.array([at, 0, 0], np.int64), self._tables.ravel()
-        if coded.walk(self._bytes, state, kind, blocks, tables, first, last, self._restart, nonzero, count, ends) < 0:
+        tables, restart = self._tables.ravel(), self._restart
+        if coded.walk(self._bytes, at, kind, blocks, tables, first, last, restart, nonzero, count, ends) < 0:
             raise ValueError("coded data are missing or damaged")
         for component in components:
             component.missing[first : last + 1] = low

@@ -118,6 +118,11 @@ def adobe(transform):
     return segment(0xEE, b"Adobe\0\x64\0\0\0\0" + bytes([transform]))
 
 
+def parts(length, each):
+    """How many parts of ``each`` it takes to cover ``length``."""
+    return -(-length // each)
+
+
 class Bits:
     """Bits as a scan has them, with stuffing."""
 
@@ -151,16 +156,16 @@ def standard_tables():
 
 
 def written(image, factors, *, interleaved=True, restart=0):
-    """A baseline JPEG of ``image`` (grey or BGR) whose components have the sampling ``factors``, (across, down) each."""
+    """A baseline JPEG of ``image``, grey or BGR; ``factors`` is the sampling (across, down) of each component."""
     planes = [image] if image.ndim == 2 else [cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb)[..., c] for c in (0, 2, 1)]
     height, width = image.shape[:2]
     most_across, most_down = max(h for h, _ in factors), max(v for _, v in factors)
     raw, codes = standard_tables()
     quantum = 4
-    columns, rows = -(-width // (8 * most_across)), -(-height // (8 * most_down))
+    columns, rows = parts(width, 8 * most_across), parts(height, 8 * most_down)
     blocks = []
     for plane, (h, v) in zip(planes, factors, strict=True):
-        w, t = -(-width * h // most_across), -(-height * v // most_down)
+        w, t = parts(width * h, most_across), parts(height * v, most_down)
         small = cv2.resize(plane, (w, t), interpolation=cv2.INTER_AREA).astype(np.float32) - 128
         full = cv2.copyMakeBorder(small, 0, rows * v * 8 - t, 0, columns * h * 8 - w, cv2.BORDER_REPLICATE)
         blocks.append(
@@ -191,7 +196,7 @@ def written(image, factors, *, interleaved=True, restart=0):
     def units(scan):
         if len(scan) > 1 or len(planes) == 1:
             if len(planes) == 1:
-                across, down = -(-width // 8), -(-height // 8)
+                across, down = parts(width, 8), parts(height, 8)
                 yield from ([(0, y, x)] for y in range(down) for x in range(across))
                 return
             for y in range(rows):
@@ -204,8 +209,8 @@ def written(image, factors, *, interleaved=True, restart=0):
                     ]
         else:
             c = scan[0]
-            across = -(-(-(-width * factors[c][0] // most_across)) // 8)
-            down = -(-(-(-height * factors[c][1] // most_down)) // 8)
+            across = parts(parts(width * factors[c][0], most_across), 8)
+            down = parts(parts(height * factors[c][1], most_down), 8)
             yield from ([(c, y, x)] for y in range(down) for x in range(across))
 
     out = b"\xff\xd8" + segment(0xE0, b"JFIF\0\x01\x01\0\0\x01\0\x01\0\0")
