@@ -13,8 +13,7 @@ import simplejpeg
 from mfcmt_core.images import FrameError, FrameLimits
 from mfcmt_core.images.decode import decode
 from mfcmt_core.images.mend import mend
-
-from . import jpegs
+from tests.core import jpegs
 
 LIMITS = FrameLimits()
 PLAIN, PROGRESSIVE = jpegs.plain(), jpegs.progressive()
