@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import simplejpeg
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mfcmt_core.images.mend import _lookup, mend
@@ -140,6 +140,7 @@ def test_a_good_picture_stays_as_it_is(data):
     assert np.array_equal(strictly(mend(data))[0], strictly(data)[0])
 
 
+@settings(deadline=None)
 @given(st.sampled_from(sorted(SAMPLES)), st.integers(0, 10**6), st.integers(1, 255))
 def test_what_libjpeg_warns_of_is_damage_and_nothing_else(name, place, change):
     """One byte of the coded data is changed, but no marker is made or lost."""

@@ -169,9 +169,9 @@ def test_bad_data_is_named_by_file_and_line(tmp_path: Path) -> None:
 
 
 def test_files_that_a_system_hides_are_no_frames(tmp_path: Path) -> None:
-    images(tmp_path, range(1, 4))
-    (tmp_path / "._0001.jpg").write_bytes(b"not a picture")
-    assert [file.name for file in list_images(tmp_path)] == ["0001.jpg", "0002.jpg", "0003.jpg"]
+    images(tmp_path / "img", range(1, 4))
+    (tmp_path / "img" / "._0001.jpg").write_bytes(b"not a picture")
+    assert [file.name for file in list_images(tmp_path / "img")] == ["0001.jpg", "0002.jpg", "0003.jpg"]
 
 
 def test_a_file_that_is_no_image_is_named(tmp_path: Path) -> None:
