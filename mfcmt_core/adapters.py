@@ -5,15 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Sequence
 from os import PathLike
+from pathlib import Path
 from typing import Any, Self
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from .config import MFCMTConfig
 from .errors import BadImage
 from .geometry import Image
+from .images.files import BadImageFile, read_image
 from .result import Box, TrackResult
 from .tracker import MFCMT
 
@@ -74,10 +75,10 @@ class Got10kTracker:
         """Follow ``box`` through files: boxes (N, 4), and seconds (N,) without reading and decoding."""
         boxes, seconds = np.empty((len(img_files), 4)), np.empty(len(img_files))
         for i, path in enumerate(img_files):
-            image = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-            if image is None:
-                raise BadImage(f"cannot read {path}")
-            frame = np.asarray(image, np.uint8)
+            try:
+                frame = read_image(Path(path), turned=False)
+            except BadImageFile as bad:
+                raise BadImage(str(bad)) from bad
             start = time.perf_counter()
             result = self.tracker.update(frame) if i else self.tracker.init(frame, box - self._origin)
             seconds[i] = time.perf_counter() - start

@@ -67,6 +67,9 @@ class Settings(BaseSettings):
     )
     max_frame_side_px: int = Field(default=8192, ge=1, le=65535, description="width or height of one frame")
     max_frame_scans: int = Field(default=16, ge=1, description="scans of one progressive JPEG")
+    max_frame_scan_pixels: int = Field(
+        default=25_000_000, ge=1, description="pixels times scans of one JPEG with more than one scan"
+    )
     max_json_frame_bytes: int = Field(
         default=256 * 1024, ge=1024, description="bytes of a frame that is base64 in JSON"
     )

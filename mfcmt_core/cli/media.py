@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # its warnings would break the one-line errors
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ..images.files import SUFFIXES, UNREADABLE_SUFFIXES, BadImageFile, read_image
+from ..quiet import quiet
 from . import UsageError
+
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # warnings would break the one-line errors
+if "OPENCV_LOG_LEVEL" not in os.environ:
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 Image = npt.NDArray[np.uint8]
 
-IMAGES = {".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp"}
 CODECS = {".mp4": "mp4v", ".mkv": "mp4v", ".avi": "MJPG", ".webm": "VP80"}
 
 
@@ -47,7 +48,7 @@ def open_source(text: str) -> Source:
     if path.is_dir():
         return _folder(path)
     if path.is_file():
-        if path.suffix.lower() in IMAGES:
+        if path.suffix.lower() in SUFFIXES | UNREADABLE_SUFFIXES:
             raise UsageError(f"{text} is one image; name its folder")
         return _video(str(path))
     if text.isascii() and text.isdigit():
@@ -56,28 +57,40 @@ def open_source(text: str) -> Source:
 
 
 def _folder(path: Path) -> Source:
-    def listed(folder: Path) -> list[Path]:
-        found = [f for f in folder.iterdir() if f.suffix.lower() in IMAGES and not f.name.startswith(".")]
-        return sorted(found, key=lambda f: [int(p) if p.isdigit() else p for p in re.split(r"([0-9]+)", f.name)])
-
-    files = listed(path)
+    files = _listed(path)
     if not files and (path / "img").is_dir():
-        files = listed(path / "img")
+        files = _listed(path / "img")
     if not files:
         raise UsageError(f"no images in {path}")
 
     def frames() -> Iterator[Image]:
         for file in files:
-            image = cv2.imread(str(file), cv2.IMREAD_COLOR)
-            if image is None:
-                raise MediaError(f"cannot read {file}")
-            yield np.asarray(image, np.uint8)
+            try:
+                yield read_image(file)
+            except BadImageFile as bad:
+                raise MediaError(str(bad)) from bad
 
     return Source(frames(), len(files), 30.0)
 
 
+def _listed(folder: Path) -> list[Path]:
+    """The images of a folder, in the order of the numbers in their names.
+
+    Raises UsageError where one is of a kind that cannot be read.
+    """
+    files = [file for file in folder.iterdir() if not file.name.startswith(".")]
+    for file in files:
+        if file.suffix.lower() in UNREADABLE_SUFFIXES:
+            raise UsageError(f"{file} is of a kind that cannot be read: convert it to JPEG or PNG")
+
+    def key(file: Path) -> list[int | str]:
+        return [int(part) if i % 2 else part for i, part in enumerate(re.split(r"([0-9]+)", file.name))]
+
+    return sorted((file for file in files if file.suffix.lower() in SUFFIXES), key=key)
+
+
 def _video(name: str | int) -> Source:
-    with _silence():
+    with quiet():
         capture = cv2.VideoCapture(name)
     if not capture.isOpened():
         raise UsageError(f"no camera {name}" if isinstance(name, int) else f"not a video: {name}")
@@ -112,7 +125,7 @@ class VideoFile:
         """Add a BGR frame. Raises MediaError."""
         if self._writer is None:
             fourcc = cv2.VideoWriter.fourcc(*CODECS[Path(self._path).suffix.lower()])
-            with _silence():
+            with quiet():
                 self._writer = cv2.VideoWriter(self._path, fourcc, self._fps, frame.shape[1::-1])
             if not self._writer.isOpened():
                 raise MediaError(f"cannot write {self._path}")
@@ -122,16 +135,3 @@ class VideoFile:
         """Finish the file."""
         if self._writer is not None:
             self._writer.release()
-
-
-@contextlib.contextmanager
-def _silence() -> Iterator[None]:
-    """What the codecs print on the standard error by themselves goes nowhere."""
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)

@@ -18,11 +18,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import simplejpeg
 from llvmlite.binding import get_host_cpu_name
 from numba.core.dispatcher import Dispatcher
 
 from .. import kernels, synthetic
 from ..config import PRESETS, MFCMTConfig
+from ..images.mend import mend
 from ..tracker import MFCMT
 
 ALWAYS: dict[str, Any] = dict.fromkeys(("fused_threshold", "template_threshold", "statistical_threshold"), 0.0)
@@ -61,7 +64,8 @@ def dispatchers() -> Iterator[Dispatcher]:
 
 
 def exercise() -> None:
-    """Have a tracker do everything it can: every preset, colour and grey, learning, lost, restored."""
+    """Have a tracker do everything it can: every preset, colour and grey, learning, lost, restored; mend a JPEG."""
+    mend(simplejpeg.encode_jpeg(np.zeros((8, 8, 3), np.uint8)))
     for grey in (False, True):
         clip = synthetic.clip("motion", size=(96, 72), target=(18, 14), length=4, grey=grey)
         frames = list(clip.frames)

@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any, cast
 
 import numba
+from llvmlite.binding import Linkage
 from numba.core import caching
+from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
 
@@ -18,18 +20,38 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
 
     ``fastmath`` lets sums be vectorised; inputs are finite by construction.
     """
-    compiled = numba.njit(fastmath=True, nogil=True, error_model="numpy", pipeline_class=_Distinct)
+    compiled = numba.njit(fastmath=True, nogil=True, error_model="numpy", pipeline_class=_Compiler)
     dispatcher: Any = compiled(function)
     dispatcher._cache = _Cache(function)
     return cast("Callable[..., Any]", dispatcher)
 
 
-class _Distinct(Compiler):
-    """Arrays handed to one kernel do not overlap where it writes: loops over many of them need no test for it."""
+class _Compiler(Compiler):
+    """Compiles a kernel so that it gives the same bits in every process.
 
-    def __init__(self, typing, target, library, args, return_type, flags, names):  # type: ignore[no-untyped-def]
-        flags.noalias = True
-        super().__init__(typing, target, library, args, return_type, flags, names)
+    Arrays handed to one kernel do not overlap where it writes, so loops over many of them need no test for it.
+    """
+
+    def compile_extra(self, func: Callable[..., Any]) -> Any:
+        self.state.flags.noalias = True
+        self.state.library = _SelfContained(self.state.targetctx.codegen(), func.__qualname__)
+        self.state.library.enable_object_caching()
+        return super().compile_extra(func)
+
+
+class _SelfContained(JITCodeLibrary):
+    """Machine code that calls its own copies of what it calls, and no other's.
+
+    A kernel holds a copy of each kernel it calls, optimised in its place. numba leaves these copies open to
+    replacement: where the process has loaded the called kernel too, as it has after compiling it, the linker takes
+    that one instead, which rounds differently. A private copy cannot be replaced.
+    """
+
+    def _finalize_final_module(self) -> None:
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage == Linkage.linkonce_odr:
+                function.linkage = Linkage.internal
+        super()._finalize_final_module()
 
 
 class _Ready:

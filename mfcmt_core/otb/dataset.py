@@ -10,10 +10,10 @@ from functools import cached_property
 from importlib import resources
 from pathlib import Path
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ..images.files import SUFFIXES, BadImageFile, read_image
 from .errors import DataError
 from .metrics import Array, Mask
 
@@ -25,7 +25,6 @@ ONE_BASED: Array = np.array([1.0, 1.0, 0.0, 0.0])
 NO_AREA: Array = np.array([-np.inf, -np.inf, 0.0, 0.0])
 """A box needs more than this to be one."""
 
-IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".webp"})
 ATTRIBUTES = {
     "IV": "illumination variation",
     "OPR": "out-of-plane rotation",
@@ -90,11 +89,11 @@ class Sequence:
         return width, height
 
     def read(self, index: int) -> Image:
-        """Decode a frame: ``(H, W, 3)`` uint8, BGR. Raises DataError for a file that is no image."""
-        image = cv2.imread(str(self.frames[index]), cv2.IMREAD_COLOR)
-        if image is None:
-            raise DataError(f"{self.frames[index]}: not a readable image")
-        return image.astype(np.uint8, copy=False)
+        """Decode a frame: ``(H, W, 3)`` uint8, BGR. Raises DataError for a file that is no whole image."""
+        try:
+            return read_image(self.frames[index])
+        except BadImageFile as bad:
+            raise DataError(str(bad)) from bad
 
 
 @dataclass(frozen=True)
@@ -224,8 +223,9 @@ def _truth_file(folder: Path, number: str) -> Path:
 
 
 def list_images(folder: Path) -> list[Path]:
-    """The image files of a folder, in the order of their numbers."""
-    images = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES] if folder.is_dir() else []
+    """The image files of a folder, in the order of their numbers; those that a system hides (``._1.jpg``) are none."""
+    found = folder.iterdir() if folder.is_dir() else ()
+    images = [p for p in found if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
     return sorted(images, key=lambda p: (_number(p), p.name))
 
 

@@ -9,7 +9,8 @@ from fastapi import APIRouter, Query
 from starlette.requests import Request
 from starlette.responses import Response
 
-from ..frames.header import sniff
+from mfcmt_core.images import sniff
+
 from ..problems import ProblemError
 from ..schemas import fields
 from ..sessions.session import Frame, Session

@@ -11,10 +11,8 @@ from typing import Any
 
 import msgpack
 
+from mfcmt_core.images import FrameError, FrameLimits, inspect
 from mfcmt_core.snapshot import parse
-
-from ..frames import FrameError, FrameLimits
-from ..frames.header import inspect
 
 PRESETS = ("default", "paper")
 RESIZES = ("reject", "rescale")

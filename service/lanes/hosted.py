@@ -8,9 +8,9 @@ from time import perf_counter
 from typing import Any
 
 from mfcmt_core import MFCMT, MFCMTConfig, TrackResult
+from mfcmt_core.images import FrameError, FrameLimits
+from mfcmt_core.images.decode import decode
 
-from ..frames import FrameError, FrameLimits
-from ..frames.decode import decode
 from .rows import Rect, covers, from_row, map_images, to_row, union
 from .view import Refused, View
 

@@ -19,9 +19,10 @@ import cv2
 import numpy as np
 
 from mfcmt_core import MFCMT, MFCMTConfig
+from mfcmt_core.images import FrameLimits
+from mfcmt_core.images.decode import decode
+from mfcmt_core.images.mend import mend
 
-from ..frames import FrameLimits
-from ..frames.decode import decode
 from . import store as store
 
 cv2.setNumThreads(1)
@@ -38,6 +39,7 @@ def _warm() -> None:
             MFCMT.from_bytes(tracker.to_bytes())
     for suffix in (".jpg", ".png", ".webp"):
         decode(cv2.imencode(suffix, noise)[1].tobytes(), FrameLimits())
+    mend(cv2.imencode(".jpg", noise)[1].tobytes())
 
 
 _warm()

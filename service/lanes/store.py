@@ -10,8 +10,8 @@ import numpy as np
 
 from mfcmt_core import BadSnapshot
 from mfcmt_core import __version__ as core_version
+from mfcmt_core.images import FrameLimits
 
-from ..frames import FrameLimits
 from . import contents
 from .hosted import HostedSession, Options
 from .view import Refused

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from mfcmt_core import MFCMT, BadBox, RegionTooSmall, TrackResult
+from mfcmt_core.images.decode import Image
 
-from ..frames.decode import Image
 from .rows import Rect
 
 SIDE_AT_LEAST_PX = 1.0

@@ -11,9 +11,8 @@ import numpy as np
 
 from mfcmt_core import synthetic
 from mfcmt_core.cli import UsageError
-
-from ..frames import FrameError, FrameLimits, inspect
-from ..frames.decode import decode
+from mfcmt_core.images import FrameError, FrameLimits, inspect
+from mfcmt_core.images.decode import decode
 
 Box = tuple[float, float, float, float]
 

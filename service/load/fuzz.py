@@ -21,9 +21,9 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
 from mfcmt_core import MFCMT
+from mfcmt_core.images import FrameError, FrameLimits
+from mfcmt_core.images.decode import decode
 
-from ..frames import FrameError, FrameLimits
-from ..frames.decode import decode
 from ..problems import CATALOGUE, MEDIA_TYPE
 from .clips import Clip
 from .mutate import Mutator

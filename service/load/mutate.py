@@ -10,8 +10,8 @@ from typing import Any
 import cv2
 import msgpack
 
-from ..frames import FrameLimits
-from ..frames.decode import decode
+from mfcmt_core.images import FrameLimits
+from mfcmt_core.images.decode import decode
 
 FLOATS = [0.0, -0.0, 1.0, -1.0, 1e-308, 5e-324, 1e308, float("nan"), float("inf"), float("-inf"), 2.0**53, 0.1]
 VALUES: list[Any] = [None, True, False, 0, -1, 2**53, 2**63, -(2**63), "", "x" * 300, "\u0000", [], {}, [[]], {"": 0}]

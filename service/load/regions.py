@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from mfcmt_core import MFCMT, synthetic
+from mfcmt_core.images.decode import decode
 
-from ..frames.decode import decode
 from .clips import LIMITS, Clip, encode, images_of, open_clip
 from .drive import quantile
 

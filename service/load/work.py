@@ -38,8 +38,8 @@ def in_process(clip: Clip, seconds: float) -> Work:
 
 def _in_process(clip: Clip, seconds: float) -> Work:
     from mfcmt_core import MFCMT
+    from mfcmt_core.images.decode import decode
 
-    from ..frames.decode import decode
     from ..lanes import preload  # noqa: F401  (threads, limits and kernels as in a lane)
     from .clips import LIMITS
 

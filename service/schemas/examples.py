@@ -80,6 +80,7 @@ CAPABILITIES = {
         "max_frame_pixels": 8300000,
         "max_frame_side_px": 8192,
         "max_frame_scans": 16,
+        "max_frame_scan_pixels": 25_000_000,
         "max_json_frame_bytes": 262144,
         "max_body_bytes": 65536,
         "max_snapshot_bytes": 67108864,

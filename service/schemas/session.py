@@ -186,6 +186,7 @@ class Limits(Model):
     max_frame_pixels: int
     max_frame_side_px: int
     max_frame_scans: int
+    max_frame_scan_pixels: int
     max_json_frame_bytes: int
     max_body_bytes: int
     max_snapshot_bytes: int

@@ -15,6 +15,7 @@ def lane_config(settings: Settings) -> dict[str, Any]:
             "max_pixels": settings.max_frame_pixels,
             "max_side": settings.max_frame_side_px,
             "max_scans": settings.max_frame_scans,
+            "max_scan_pixels": settings.max_frame_scan_pixels,
         },
         "max_targets": settings.max_targets_per_session,
         "region_lag": settings.region_lag_frames,

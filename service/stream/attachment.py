@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 
-from ..frames.header import sniff
+from mfcmt_core.images import sniff
+
 from ..keys import Identity
 from ..observability.metrics import Metrics
 from ..observability.stages import Stages

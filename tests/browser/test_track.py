@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from mfcmt_core import MFCMT, synthetic
-from service.frames.decode import decode
+from mfcmt_core.images.decode import decode
 from service.load.clips import LIMITS
 from service.load.own import OwnServer
 from tests.conftest import OTB_ROOT

@@ -195,8 +195,15 @@ def test_failures_while_tracking_are_one_line_and_exit_1(folder, box, tmp_path):
     out = tmp_path / "boxes.csv"
     done = track(broken, "--box", box, "--output", out)
     assert done.returncode == 1
-    assert done.stderr == f"mfcmt track: cannot read {broken / '3.png'}\n"
+    assert done.stderr == f"mfcmt track: cannot read {broken / '3.png'}: not a JPEG, PNG or WebP image\n"
     assert len(out.read_text().splitlines()) == 3  # what was tracked until then is kept
+    (broken / "3.png").unlink()
+    (broken / "3.png").symlink_to("nowhere")
+    done = track(broken, "--box", box)
+    assert (done.returncode, done.stderr) == (
+        1,
+        f"mfcmt track: cannot read {broken / '3.png'}: No such file or directory\n",
+    )
     (tmp_path / "text.mp4").write_text("not a video")
     done = track(tmp_path / "text.mp4", "--box", box)
     assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)

@@ -31,17 +31,41 @@ for preset in ("default", "paper"):
 """
 
 
-def run_elsewhere(*args, **environment):
+def run_elsewhere(*args, program=PROGRAM, **environment):
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, *args],
+        [sys.executable, "-c", program, *args],
         cwd=ROOT,
         env=os.environ | environment,
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=600,
         check=True,
     )
     return done.stdout
+
+
+ONE_TRACKER = """
+import hashlib, sys
+from numba.core import caching
+from mfcmt_core.kernels import _jit
+if len(sys.argv) > 1:  # nothing is found and nothing kept
+    _jit._Cache = lambda function: caching.NullCache()
+from mfcmt_core import MFCMT, synthetic
+from tests.core.helpers import digest
+clip, tracker = synthetic.clip("motion"), MFCMT()
+results = list(tracker.track(clip.frames[:8], clip.boxes[0]))
+print(digest(results), hashlib.sha256(tracker.to_bytes()).hexdigest())
+"""
+
+
+def test_a_process_that_compiles_gives_the_bits_of_one_that_loads(tmp_path):
+    """The first one with an empty cache, the next one with what that left, and one that can keep nothing."""
+    first, second = (run_elsewhere(program=ONE_TRACKER, NUMBA_CACHE_DIR=str(tmp_path)) for _ in range(2))
+    kept = {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.nbi")}
+    assert kept
+    third = run_elsewhere("without", program=ONE_TRACKER, NUMBA_CACHE_DIR=str(tmp_path))
+    assert first == second == third
+    assert kept == {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.nbi")}
 
 
 def run_here(preset):

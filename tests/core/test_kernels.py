@@ -9,13 +9,10 @@ import numpy as np
 import pytest
 
 from mfcmt_core.features import color_names, hann_window
-from mfcmt_core.kernels import background, cells, color, fourier, fusion, hog, scale, template
+from mfcmt_core.kernels import background, cells, coded, color, fourier, fusion, hog, scale, template
 
 from . import reference
-from .twins import alone, close, patch_of
-
-normalize_cells = alone(hog.normalize_cells)
-
+from .twins import close, patch_of
 
 # --- cells and fHOG ---
 
@@ -74,7 +71,7 @@ def test_normalize_cells(gray, shape, epsilon):
     out = np.full((cells_y, 1 + hog.CHANNELS, cells_x), np.nan, np.float32)
     norms = np.full((cells_y + 1, cells_x + 1), np.nan, np.float32)
     bordered = np.pad(histogram, ((0, 0), (0, 0), (1, 1)), constant_values=np.nan)
-    normalize_cells(bordered, window, np.float32(epsilon), norms, 1, out)
+    hog.normalize_cells(bordered, window, np.float32(epsilon), norms, 1, out)
     close(np.moveaxis(out[:, 1:], 1, 0), reference.normalize_cells(histogram, window, epsilon))
     assert np.isnan(out[:, 0]).all()
 
@@ -103,7 +100,7 @@ def test_hog_cells(gray):
     scratch = (np.empty((4, 18, 17), np.float32), np.empty((8, 18, 17), np.float32), np.empty((9, 16), np.float32))
     out, expected = np.zeros((2, 8, 32, 15), np.float32)
     hog.hog_cells(patch, window, np.float32(1), 1, magnitude, orientation, *scratch, out)
-    normalize_cells(scratch[1], window, np.float32(1), scratch[2], 1, expected)
+    hog.normalize_cells(scratch[1], window, np.float32(1), scratch[2], 1, expected)
     close(out, expected)
     close(scratch[1][..., 1:-1], reference.histogram_cells(magnitude, orientation))
 
@@ -147,7 +144,7 @@ def test_learn_colors(picture, inner, outer, moved, rate, gain):
 @pytest.mark.parametrize("moved", [(0, 0), (5, -3), (-40, 2), (70, 80)])
 def test_shift(moved):
     """A rectangle that has left the patch is empty, and counts as a pixel."""
-    rectangle, area = alone(color.shift)((20, 30, 50, 70), *moved, 100, 110)
+    rectangle, area = color.shift((20, 30, 50, 70), *moved, 100, 110)
     assert rectangle == reference.shift((20, 30, 50, 70), *moved, 100, 110)
     inside = np.zeros((100, 110), bool)
     inside[slice(rectangle[0], rectangle[2]), slice(rectangle[1], rectangle[3])] = True
@@ -159,7 +156,7 @@ def test_count_color():
     counts, shown = np.zeros(5, np.int64), np.empty(4, np.uint16)
     number = np.uint64(0)
     for bin_ in (3, 1, 3, 3):
-        number = alone(color.count_color)(bin_, 1, number, counts, shown)
+        number = color.count_color(bin_, 1, number, counts, shown)
     assert counts.tolist() == [0, 1, 0, 3, 0]
     assert shown[:number].tolist() == [3, 1]
 
@@ -171,7 +168,7 @@ def test_tabulate(unseen):
     lookup = np.empty(1000, np.float32)
     color.tabulate(histograms, np.float32(unseen), lookup)
     close(lookup, reference.tabulate(histograms, unseen))
-    assert alone(color.likelihood)(np.float32(0), np.float32(0), np.float32(unseen)) == np.float32(unseen)
+    assert color.likelihood(np.float32(0), np.float32(0), np.float32(unseen)) == np.float32(unseen)
 
 
 def test_look_up_and_box_means(picture):
@@ -238,8 +235,7 @@ def test_find_peak(seed):
 def test_every_kernel_has_a_test():
     """A new kernel needs a twin: its name must appear here or beside."""
     source = "".join(file.read_text() for file in Path(__file__).parent.glob("test_kernels*.py"))
-    for module in (background, cells, color, fourier, fusion, hog, scale, template):
+    for module in (background, cells, coded, color, fourier, fusion, hog, scale, template):
         for name, value in vars(module).items():
             if hasattr(value, "py_func") and value.py_func.__module__ == module.__name__:
-                called = f"{module.__name__.rsplit('.', 1)[1]}.{name}"
-                assert f"{called}(" in source or f"alone({called})" in source
+                assert f"{module.__name__.rsplit('.', 1)[1]}.{name}(" in source

@@ -2,20 +2,7 @@
 
 from __future__ import annotations
 
-from types import FunctionType
-
-import numba
 import numpy as np
-
-
-def alone(part):
-    """A compiled copy by another name, for a part of another kernel.
-
-    The process would link the part itself, once it is loaded, into that kernel too, in place of the copy that was
-    optimised there, and every later result would be rounded otherwise.
-    """
-    function = FunctionType(part.py_func.__code__, part.py_func.__globals__, f"{part.__name__}_alone")
-    return numba.njit(fastmath=True, error_model="numpy")(function)
 
 
 def close(actual, expected, tolerance=2e-5):

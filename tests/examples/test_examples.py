@@ -15,7 +15,7 @@ from typing import Any
 import cv2
 import pytest
 
-from service.frames.decode import decode
+from mfcmt_core.images.decode import decode
 from service.load.clips import LIMITS, Clip
 from service.load.own import OwnServer
 from tests.chromium import chromium

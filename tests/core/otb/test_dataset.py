@@ -19,6 +19,7 @@ from mfcmt_core.otb import (
     read_result,
     write_boxes,
 )
+from mfcmt_core.otb.dataset import list_images
 
 # the names of the 98 folders and counts that the benchmark's page gives
 TOTALS = {
@@ -167,11 +168,17 @@ def test_bad_data_is_named_by_file_and_line(tmp_path: Path) -> None:
         open_otb(tmp_path / "nowhere")
 
 
+def test_files_that_a_system_hides_are_no_frames(tmp_path: Path) -> None:
+    images(tmp_path / "img", range(1, 4))
+    (tmp_path / "img" / "._0001.jpg").write_bytes(b"not a picture")
+    assert [file.name for file in list_images(tmp_path / "img")] == ["0001.jpg", "0002.jpg", "0003.jpg"]
+
+
 def test_a_file_that_is_no_image_is_named(tmp_path: Path) -> None:
     images(tmp_path / "Deer" / "img", range(1, 72))
     truth(tmp_path / "Deer" / "groundtruth_rect.txt", 71)
     (tmp_path / "Deer" / "img" / "0002.jpg").write_bytes(b"not a picture")
-    with pytest.raises(DataError, match=r"0002.jpg: not a readable image"):
+    with pytest.raises(DataError, match=r"cannot read .*0002.jpg: not a JPEG, PNG or WebP image"):
         open_otb(tmp_path)["Deer"].read(1)
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import os
 import resource
+import zlib
 from pathlib import Path
 
 import cv2
@@ -11,8 +13,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from service.frames import FrameError, FrameLimits
-from service.frames.decode import Image, decode
+from mfcmt_core.images import FrameError, FrameLimits
+from mfcmt_core.images.decode import Image, decode
 
 from . import images
 from .images import encode, jpeg, picture
@@ -102,6 +104,50 @@ def test_damaged_png(capfd: pytest.CaptureFixture[str]) -> None:
             decode(images.patched(data, at, data[at] ^ 0x55), LIMITS)
         assert error.value.code == "frame-undecodable"
     assert capfd.readouterr().err == ""
+
+
+PNG = encode(".png", picture(32, 24))
+ROWS = zlib.compress(bytes(24 * (1 + 3 * 32)))
+ODD_PNG = {
+    "iCCP": PNG[:33] + images.chunk(b"iCCP", b"bad\0\0profile") + PNG[33:],
+    "sRGB": PNG[:33] + images.chunk(b"sRGB", b"\x09") + PNG[33:],
+    "tRNS": PNG[:33] + images.chunk(b"tRNS", bytes(5)) + PNG[33:],
+    "zTXt": PNG[:33] + images.chunk(b"zTXt", b"key\0\0text") + PNG[33:],
+    "eXIf": PNG[:33] + images.chunk(b"eXIf", b"zz") + PNG[33:],
+    "too many rows": PNG[:33] + images.chunk(b"IDAT", zlib.compress(bytes(9999))) + PNG[-12:],
+}
+BAD_PNG = {
+    "too few rows": PNG[:33] + images.chunk(b"IDAT", zlib.compress(bytes(99))) + PNG[-12:],
+    "no rows": PNG[:33] + images.chunk(b"IDAT", b"") + PNG[-12:],
+    "not deflated": PNG[:33] + images.chunk(b"IDAT", bytes(99)) + PNG[-12:],
+    "cut": PNG[:33] + images.chunk(b"IDAT", ROWS[:-4]) + PNG[-12:],
+    "unknown filter": PNG[:33] + images.chunk(b"IDAT", zlib.compress(b"\x09" * 24 * 97)) + PNG[-12:],
+    "unknown chunk": PNG[:33] + images.chunk(b"ABCD", b"") + PNG[33:],
+    "two headers": PNG[:33] + PNG[8:],
+    "no palette": PNG[:8] + images.chunk(b"IHDR", PNG[16:25] + b"\3\0\0\0") + PNG[33:],
+    "3 bits": PNG[:8] + images.chunk(b"IHDR", PNG[16:24] + b"\3\0\0\0\0") + PNG[33:],
+}
+
+
+@pytest.mark.parametrize("data", ODD_PNG.values(), ids=ODD_PNG)
+def test_the_library_says_nothing_of_an_odd_png(data: bytes, capfd: pytest.CaptureFixture[str]) -> None:
+    """A line of its own would break the log, which is JSON."""
+    assert decode(data, LIMITS)[0].shape == (24, 32, 3)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("data", BAD_PNG.values(), ids=BAD_PNG)
+def test_the_library_says_nothing_of_a_bad_png(data: bytes, capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(FrameError) as error:
+        decode(data, LIMITS)
+    assert error.value.code == "frame-undecodable"
+    assert capfd.readouterr() == ("", "")
+
+
+def test_the_standard_error_is_there_again_afterwards(capfd: pytest.CaptureFixture[str]) -> None:
+    decode(PNG, LIMITS)
+    os.write(2, b"said")
+    assert capfd.readouterr().err == "said"
 
 
 def test_bombs_cost_nothing() -> None:

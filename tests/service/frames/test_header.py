@@ -9,7 +9,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from service.frames import FrameError, FrameInfo, FrameLimits, inspect, sniff
+from mfcmt_core.images import FrameError, FrameInfo, FrameLimits, inspect, sniff
+from mfcmt_core.images.decode import decode
 
 from . import images
 from .images import encode, jpeg, patched, picture, riff, riff_chunk, segment, sof, vp8x, with_size
@@ -35,6 +36,10 @@ SOUND = {
     "trailing": (JPEG + b"\0" * 100, FrameInfo("jpeg", 160, 120)),
     "two": (JPEG + JPEG, FrameInfo("jpeg", 160, 120)),
     "thumbnail": (JPEG[:2] + segment(0xE1, JPEG[:500]) + JPEG[2:], FrameInfo("jpeg", 160, 120)),
+    "stray": (JPEG[:20] + b"stray" + JPEG[20:], FrameInfo("jpeg", 160, 120)),
+    "stray-stuffed": (JPEG[:20] + b"\xff\0" * 9 + JPEG[20:], FrameInfo("jpeg", 160, 120)),
+    "stray-restart": (JPEG[:20] + b"\xff\xd0\xff\x01" + JPEG[20:], FrameInfo("jpeg", 160, 120)),
+    "trailer-in-place-of-the-end": (JPEG[:-2] + b"SEFT", FrameInfo("jpeg", 160, 120)),
     "png": (PNG, FrameInfo("png", 160, 120)),
     "grey-png": (encode(".png", picture(grey=True)), FrameInfo("png", 160, 120, grey=True)),
     "lossless": (WEBP, FrameInfo("webp", 160, 120)),
@@ -112,11 +117,11 @@ BROKEN_JPEG = {
     "2-components": patched(JPEG, SOF + 9, 2),
     "no-components": patched(JPEG, SOF + 9, 0),
     "two-headers": JPEG[:SOF] + JPEG[SOF : SOF + 19] + JPEG[SOF:],
-    "stray": JPEG[:20] + b"stray" + JPEG[20:],
     "short-segment": JPEG[:2] + b"\xff\xe0\x00\x01" + JPEG[2:],
     "many-segments": JPEG[:2] + segment(0xFE, b"") * 2000 + JPEG[2:],
     "no-header": JPEG[:SOF] + JPEG[JPEG.find(b"\xff\xda") :],
-    "no-end": JPEG[:-2],
+    "second-beginning": JPEG[:20] + JPEG,
+    "end-first": JPEG[:20] + b"\xff\xd9" + JPEG[20:],
     "empty": b"\xff\xd8\xff\xd9",
     "magic-only": b"\xff\xd8\xff",
     "fill-only": b"\xff\xd8\xff\xff\xff",
@@ -153,9 +158,12 @@ def test_broken_png_and_webp(data: bytes) -> None:
 
 @pytest.mark.parametrize("name", SAMPLES)
 def test_truncated(name: str) -> None:
+    """A JPEG's coded data are found to end too early when they are read, all else by the header."""
     data = SAMPLES[name]
     for percent in range(1, 100):
-        assert refused(data[: max(12, len(data) * percent // 100)]) == "frame-undecodable", percent
+        with pytest.raises(FrameError) as error:
+            decode(data[: max(12, len(data) * percent // 100)], LIMITS)
+        assert error.value.code == "frame-undecodable", percent
 
 
 NOT_OURS = {
@@ -184,6 +192,20 @@ def test_scan_bomb() -> None:
     # An end of image that hides in a comment does not hide the scans that follow it.
     assert refused(images.scan_bomb(200, between=segment(0xFE, b"\xff\xd9"))) == "frame-too-large"
     assert refused(images.scan_bomb(200, between=b"\xff\x01")) == "frame-too-large"
+
+
+def test_pixels_times_scans_are_bounded() -> None:
+    """A camera's JPEG has one scan and is bounded by its pixels alone."""
+    progressive = jpeg(*images.PROGRESSIVE)
+    scans = progressive.count(b"\xff\xda")
+    assert scans == 10
+    exact = FrameLimits(max_scan_pixels=160 * 120 * scans)
+    assert inspect(progressive, exact).width == 160
+    assert refused(progressive, FrameLimits(max_scan_pixels=160 * 120 * scans - 1)) == "frame-too-large"
+    assert inspect(JPEG, FrameLimits(max_scan_pixels=1)).width == 160
+    # As it is set: 1080p in twelve scans, 4K in three.
+    for width, height, scans in ((1920, 1080, 12), (3840, 2160, 3)):
+        assert width * height * scans <= LIMITS.max_scan_pixels < width * height * (scans + 1)
 
 
 def test_what_only_looks_like_scans_passes() -> None:
@@ -246,5 +268,5 @@ def test_fuzz_made_up(head: bytes, tail: bytes) -> None:
 
 
 def test_no_numpy_no_opencv() -> None:
-    code = "import sys, service.frames; sys.exit(bool({'numpy', 'cv2'} & set(sys.modules)))"
+    code = "import sys, mfcmt_core.images; sys.exit(bool({'numpy', 'cv2'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

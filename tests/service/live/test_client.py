@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mfcmt_core.images.decode import decode
 from service.client import (
     AsyncClient,
     AsyncStream,
@@ -22,7 +23,6 @@ from service.client import (
     Region,
     Result,
 )
-from service.frames.decode import decode
 from service.load.clips import LIMITS, Clip, encode
 from service.load.own import OwnServer
 

@@ -13,8 +13,8 @@ import msgpack
 import pytest
 
 from mfcmt_core import MFCMT
+from mfcmt_core.images.decode import decode
 from service.client import AsyncClient, Problem, Result
-from service.frames.decode import decode
 from service.load.clips import LIMITS, Clip
 from service.load.own import OwnServer
 from service.load.usage import usage

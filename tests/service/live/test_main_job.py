@@ -9,9 +9,9 @@ import pytest
 from websockets.asyncio.client import connect
 
 from mfcmt_core import MFCMT, TrackResult
+from mfcmt_core.images.decode import decode
 from service.client import AsyncClient, Client, Frame, Result, Target
 from service.client.connection import Protocol
-from service.frames.decode import decode
 from service.load.clips import LIMITS, Clip
 from service.load.own import OwnServer
 

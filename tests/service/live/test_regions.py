@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from mfcmt_core import synthetic
+from mfcmt_core.images.decode import Image, decode
 from service.client import AsyncClient, AsyncSession, Frame, Problem, Region, Result
-from service.frames.decode import Image, decode
 from service.load.clips import LIMITS, Box, Clip
 from service.load.own import OwnServer
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from service.frames import FrameLimits
+from mfcmt_core.images import FrameLimits
 from service.lanes.contents import FIELDS, pack
 from service.lanes.store import Store
 from service.lanes.view import Refused

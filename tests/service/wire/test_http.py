@@ -11,7 +11,7 @@ import msgpack
 import pytest
 
 from mfcmt_core import MFCMT
-from service.frames.decode import decode
+from mfcmt_core.images.decode import decode
 from service.load.clips import LIMITS, Clip
 
 from .conftest import Wire, problem

@@ -10,7 +10,7 @@ from typing import Any
 import httpx2
 import msgpack
 
-from service.frames.decode import decode
+from mfcmt_core.images.decode import decode
 from service.load.clips import LIMITS, Clip
 
 from .conftest import Serve, Wire, problem

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from service.frames.decode import decode
+from mfcmt_core.images.decode import decode
 from service.load.clips import LIMITS, Clip
 from tests.conftest import require
 

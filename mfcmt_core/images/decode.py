@@ -1,4 +1,4 @@
-"""An encoded frame to pixels; only lanes import this."""
+"""An encoded frame to pixels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ import numpy as np
 import numpy.typing as npt
 import simplejpeg
 
+from ..quiet import quiet
 from .header import FrameError, FrameInfo, FrameLimits, Kind, inspect
+from .mend import mend
 
 Image = npt.NDArray[np.uint8]
 
@@ -27,26 +29,50 @@ _TURN: dict[int, Callable[[Image], Any]] = {
 }
 
 
-def decode(data: bytes, limits: FrameLimits) -> tuple[Image, FrameInfo]:
+def decode(data: bytes, limits: FrameLimits, *, turned: bool = True) -> tuple[Image, FrameInfo]:
     """The pixels of one encoded image, with its EXIF orientation applied, and its header.
 
     The image is ``uint8``, C-contiguous: BGR of shape ``(H, W, 3)``, or ``(H, W)`` when it is stored grey.
-    16 bits are reduced to 8, alpha is dropped. Raises :class:`FrameError` and nothing else: header limits
-    are checked before any pixel, and a damaged JPEG or PNG is refused even where a picture could be made.
+    16 bits are reduced to 8, alpha is dropped; where ``turned`` is False the pixels stay as they are stored.
+    Raises :class:`FrameError` and nothing else: header limits are checked before any pixel, and a damaged JPEG or PNG
+    is refused even where a picture could be made.
     """
     info = inspect(data, limits)
     try:
         image = _READ[info.kind](data, info)
     except (ValueError, MemoryError, cv2.error) as refused:
         raise FrameError("frame-undecodable", f"the {info.kind} image is damaged") from refused
-    if info.orientation != 1:
-        image = _TURN[info.orientation](image)
-    if image.shape[:2] != (info.height, info.width):
+    stored = (info.height, info.width) if info.orientation < 5 else (info.width, info.height)
+    if image.shape[:2] != stored:
         raise FrameError("frame-undecodable", f"the {info.kind} image is not of its header's size")
+    if turned and info.orientation != 1:
+        image = _TURN[info.orientation](image)
     return image, info
 
 
+def decode_plain(data: bytes, *, turned: bool = True) -> Image:
+    """The BGR pixels of an image of a kind that :func:`decode` does not take. Raises :class:`FrameError`."""
+    try:
+        return _opencv(data, cv2.IMREAD_COLOR if turned else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    except (ValueError, MemoryError, cv2.error) as refused:
+        raise FrameError("frame-undecodable", "the image is damaged") from refused
+
+
 def _jpeg(data: bytes, info: FrameInfo) -> Image:
+    """Whole pictures only: what still leads to a warning once it is mended is damaged."""
+    try:
+        return _turbo(data, info)
+    except ValueError:
+        data = mend(data)
+    try:
+        return _turbo(data, info)
+    except ValueError as refused:
+        if "subsampling" not in str(refused):  # rare ones that TurboJPEG has no name for
+            raise
+    return _stored(data, info)
+
+
+def _turbo(data: bytes, info: FrameInfo) -> Image:
     if info.cmyk:
         return _cmyk(data)
     image: Image = simplejpeg.decode_jpeg(data, "GRAY" if info.grey else "BGR")
@@ -64,19 +90,24 @@ def _cmyk(data: bytes) -> Image:
 def _png(data: bytes, info: FrameInfo) -> Image:
     if not _sound(data):
         raise ValueError("checksum")
-    return _opencv(data, info)
+    return _stored(data, info)
 
 
-def _opencv(data: bytes, info: FrameInfo) -> Image:
+def _stored(data: bytes, info: FrameInfo) -> Image:
     mode = cv2.IMREAD_GRAYSCALE if info.grey else cv2.IMREAD_COLOR
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), mode | cv2.IMREAD_IGNORE_ORIENTATION)
+    return _opencv(data, mode | cv2.IMREAD_IGNORE_ORIENTATION)
+
+
+def _opencv(data: bytes, mode: int) -> Image:
+    with quiet():  # libpng, libtiff and OpenCV itself print what they think of an image
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), mode)
     if image is None:
         raise ValueError("no image")
     return cast(Image, image)
 
 
 def _sound(png: bytes) -> bool:
-    """Whether all chunks carry their checksum (2 % of the decoding; libpng would complain to stderr)."""
+    """Whether all chunks carry their checksum (2 % of the decoding)."""
     at, name = 8, b""
     while name != b"IEND":
         length, name = struct.unpack_from(">I4s", png, at)
@@ -87,4 +118,4 @@ def _sound(png: bytes) -> bool:
     return True
 
 
-_READ: dict[Kind, Callable[[bytes, FrameInfo], Image]] = {"jpeg": _jpeg, "png": _png, "webp": _opencv}
+_READ: dict[Kind, Callable[[bytes, FrameInfo], Image]] = {"jpeg": _jpeg, "png": _png, "webp": _stored}

@@ -1,7 +1,7 @@
 """What an encoded frame says about itself, read without touching a pixel.
 
 The readers walk containers, never bytes: a camera's JPEG costs a few microseconds, a progressive one what
-it takes to search its bytes for scans. They are as strict as the decoders behind them, so that nothing
+it takes to search its bytes for scans. They find the same header as the decoders behind them, so that nothing
 passes here with one size and is decoded with another.
 """
 
@@ -27,12 +27,17 @@ class FrameError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class FrameLimits:
-    """What a frame may cost: encoded bytes, pixels, pixels a side, passes of a progressive JPEG."""
+    """What a frame may cost: encoded bytes, pixels, pixels a side, scans of a JPEG, pixels times scans.
+
+    Every scan goes through all pixels once more, so a JPEG of several scans costs as much as so many images. The last
+    limit is for those alone: a camera writes one scan.
+    """
 
     max_bytes: int = 8_000_000
     max_pixels: int = 3840 * 2160
     max_side: int = 8192
     max_scans: int = 16
+    max_scan_pixels: int = 25_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +69,8 @@ _SOF_PROGRESSIVE = 0xC2
 _SOF_OTHER = {0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF}
 # In coded data FF is followed by 00 or a restart marker; anything else begins the next segment.
 _NEXT_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")
+# Between segments restart markers mean nothing, and what is no marker is skipped, by every decoder alike.
+_NEXT_SEGMENT = re.compile(rb"\xff[^\x00\x01\xff\xd0-\xd7]")
 
 
 def sniff(data: bytes) -> Kind | None:
@@ -138,16 +145,12 @@ def _jpeg(data: bytes, limits: FrameLimits) -> FrameInfo:
     orientation = 0
     at = 2
     for _ in range(MAX_PARTS):
-        if data[at] != 0xFF:
-            _undecodable("stray bytes between the segments of the JPEG")
+        found = _NEXT_SEGMENT.search(data, at)
+        if found is None:
+            _undecodable("the JPEG has no image data")
+        at = found.start()
         marker = data[at + 1]
-        if marker == 0xFF:  # fill bytes
-            at += 1
-            continue
-        if marker == _TEM:
-            at += 2
-            continue
-        if marker in (0, _SOI, _EOI) or 0xD0 <= marker <= 0xD7:
+        if marker in (_SOI, _EOI):
             _undecodable("the JPEG has no image data")
         length = data[at + 2] << 8 | data[at + 3]
         if length < 2:
@@ -176,10 +179,14 @@ def _jpeg(data: bytes, limits: FrameLimits) -> FrameInfo:
     info = _oriented("jpeg", width, height, orientation or 1, grey=components == 1, cmyk=components == 4)
     _measured(info, limits)
     # A sequential image whose first scan holds all components has no further scan: libjpeg refuses one.
-    if (sof == _SOF_PROGRESSIVE or data[at + 4] < components) and _too_many_scans(data, at, limits.max_scans):
-        raise FrameError("frame-too-large", f"more than {limits.max_scans} scans in the JPEG")
-    if data.rfind(b"\xff\xd9", at) < 0:
-        _undecodable("the JPEG is truncated: no end of image")
+    if sof == _SOF_PROGRESSIVE or data[at + 4] < components:
+        most = min(limits.max_scans, limits.max_scan_pixels // (width * height))
+        if _too_many_scans(data, at, most):
+            raise FrameError(
+                "frame-too-large",
+                f"more than {most} scans in a JPEG of {width}x{height} pixels; at most {limits.max_scans} scans"
+                f" and {limits.max_scan_pixels} pixels times scans",
+            )
     return info
 
 

@@ -1,0 +1,209 @@
+"""A JPEG that decoders warn of, written anew without what they warn of.
+
+Cameras and phones write JPEGs whose picture is whole and whose form is not: stray bytes before a marker, a made-up
+revision of JFIF, wrong parameters of a scan, a vendor's trailer in place of the end. The decoder's only answer to
+them is a warning, the same in kind as to a picture of which half is missing, and it tells no more than the first.
+So what it warned of is taken out here, and what it decodes then must be without any warning.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import cache, lru_cache
+
+import numpy as np
+import numpy.typing as npt
+import simplejpeg
+
+from ..kernels import coded
+from .header import MAX_PARTS
+
+_MARKER = re.compile(rb"\xff[^\x00\xff]")
+_SOI, _EOI, _SOS, _DHT, _DQT, _DRI, _DNL, _COM, _TEM = 0xD8, 0xD9, 0xDA, 0xC4, 0xDB, 0xDD, 0xDC, 0xFE, 0x01
+_SOF_PROGRESSIVE = 0xC2
+_SOF = (0xC0, 0xC1, _SOF_PROGRESSIVE)
+_JFIF = b"\xff\xe0\x00\x10JFIF\0\x01\x01\0\0\x01\0\x01\0\0"
+_MOST_BLOCKS = 10
+"""Blocks in a unit of an interleaved scan, by the standard."""
+
+
+def mend(data: bytes) -> bytes:
+    """The picture of a JPEG with its Huffman-coded data as they are and nothing that a decoder would warn of.
+
+    Raises ValueError where coded data are missing or damaged, so that no decoder could make the whole picture.
+    """
+    picture = _Picture(data)
+    try:
+        picture.read()
+    except IndexError:
+        raise ValueError("a segment is cut off") from None
+    return b"".join([b"\xff\xd8", *picture.parts, b"\xff\xd9"])
+
+
+class _Component:
+    """One colour component: its sampling factors, and what the scans so far have told of it."""
+
+    def __init__(self, across: int, down: int) -> None:
+        if not (1 <= across <= 4 and 1 <= down <= 4):
+            raise ValueError("sampling factors that do not exist")
+        self.across, self.down = across, down
+        self.missing = np.full(64, 16)  # low bits of each coefficient; 16 before its first scan
+        self.nonzero: npt.NDArray[np.uint64] | None = None
+
+
+class _Picture:
+    """A walk through the segments of a JPEG; ``parts`` are those of the mended one."""
+
+    def __init__(self, data: bytes) -> None:
+        self.parts: list[bytes] = []
+        self._data = data
+        self._bytes = np.frombuffer(data, np.uint8)
+        self._components: dict[int, _Component] = {}
+        self._width = self._height = self._restart = 0
+        self._progressive = False
+        self._tables = np.zeros((8, 1 << 16), np.uint16)  # four of DC, four of AC
+        for index, table in _standard_tables().items():
+            self._tables[index] = table
+
+    def read(self) -> None:
+        """Read segments and scans up to the end, or until all of the picture is there."""
+        data, at = self._data, 2
+        for _ in range(MAX_PARTS):
+            found = _MARKER.search(data, at)
+            if found is None:
+                raise ValueError("it ends before the picture does")
+            marker, at = data[found.end() - 1], found.end()
+            if marker == _EOI:
+                break
+            if marker == _TEM or 0xD0 <= marker <= 0xD7:
+                continue
+            length = data[at] << 8 | data[at + 1]
+            body, segment = data[at + 2 : at + length], data[found.start() : at + length]
+            if length < 2 or len(body) != length - 2:
+                raise ValueError("a segment is cut off")
+            at += length
+            if marker == _SOS:
+                at = self._scan(body, at)
+                if all(not component.missing.any() for component in self._components.values()):
+                    return
+            elif marker in _SOF:
+                self._frame(marker, body)
+                self.parts.append(segment)
+            elif marker in (_DHT, _DQT, _DRI):
+                if marker == _DHT:
+                    self._huffman(body)
+                elif marker == _DRI:
+                    self._restart = body[0] << 8 | body[1]
+                self.parts.append(segment)
+            elif 0xE0 <= marker <= 0xEF:
+                self._application(marker, body)
+            elif marker not in (_COM, _DNL):
+                raise ValueError(f"unexpected marker {marker:02x}")
+        if not self._components or any(c.missing[0] == 16 for c in self._components.values()):
+            raise ValueError("a component has no scan")
+
+    def _application(self, marker: int, body: bytes) -> None:
+        """Keep what decides on the colour space."""
+        if marker == 0xE0 and body.startswith(b"JFIF\0") and len(body) >= 14:
+            self.parts.append(_JFIF)
+        elif marker == 0xEE and body.startswith(b"Adobe") and len(body) >= 12:
+            known = body[11] <= 2
+            transform = body[11:12] if known else b"\2" if len(self._components) == 4 else b"\1"
+            self.parts.append(b"\xff\xee\x00\x0e" + body[:11] + transform)
+
+    def _frame(self, marker: int, body: bytes) -> None:
+        self._progressive = marker == _SOF_PROGRESSIVE
+        self._height, self._width = body[1] << 8 | body[2], body[3] << 8 | body[4]
+        for at in range(6, 6 + 3 * body[5], 3):
+            self._components[body[at]] = _Component(body[at + 1] >> 4, body[at + 1] & 15)
+        if len(self._components) != body[5]:
+            raise ValueError("two components of one name")
+        if self._progressive:
+            self._tables[:] = 0  # nothing is standard there
+
+    def _huffman(self, body: bytes) -> None:
+        at = 0
+        while at < len(body):
+            end = at + 17 + sum(body[at + 1 : at + 17])
+            kind, slot = body[at] >> 4, body[at] & 15
+            if kind > 1 or slot > 3 or end > len(body):
+                raise ValueError("a Huffman table that does not exist")
+            self._tables[4 * kind + slot] = _lookup(body[at + 1 : end])
+            at = end
+
+    def _scan(self, body: bytes, at: int) -> int:
+        """Take over one scan whose coded data begin at ``at``; where the next marker begins."""
+        names = [body[1 + 2 * i] for i in range(body[0])]
+        components = [self._components[name] for name in names if name in self._components]
+        if not components or len(components) != body[0] or len(set(names)) != len(names):
+            raise ValueError("a scan of components that do not exist")
+        first, last, bits = (body[1 + 2 * body[0] + i] for i in range(3)) if self._progressive else (0, 63, 0)
+        high, low = bits >> 4, bits & 15
+        if self._progressive:
+            if first > last or last > 63 or (first == 0) != (last == 0) or (first and len(components) > 1):
+                raise ValueError("a scan of coefficients that do not exist")
+            kind = [coded.DC_FIRST, coded.DC_REFINED, coded.AC_FIRST, coded.AC_REFINED][2 * (first > 0) + (high > 0)]
+        else:
+            kind = coded.SEQUENTIAL
+        blocks, count = self._units(components, [body[2 + 2 * i] for i in range(body[0])])
+        nonzero = np.zeros(1, np.uint64)
+        if kind in (coded.AC_FIRST, coded.AC_REFINED):
+            if components[0].nonzero is None:
+                components[0].nonzero = np.zeros(count, np.uint64)
+            nonzero = components[0].nonzero
+        ends = np.zeros((-(-count // self._restart) if self._restart else 1, 2), np.int64)
+        tables, restart = self._tables.ravel(), self._restart
+        if coded.walk(self._bytes, at, kind, blocks, tables, first, last, restart, nonzero, count, ends) < 0:
+            raise ValueError("coded data are missing or damaged")
+        for component in components:
+            component.missing[first : last + 1] = low
+        self.parts.append(b"\xff\xda" + (len(body) + 2).to_bytes(2, "big") + body[: 1 + 2 * body[0]])
+        self.parts.append(bytes([first, last, bits]) + body[4 + 2 * body[0] :])
+        for gap in np.flatnonzero(ends[:-1, 0] != ends[:-1, 1]):
+            self.parts.append(self._data[at : ends[gap, 0]])
+            at = int(ends[gap, 1])
+        self.parts.append(self._data[at : ends[-1, 0]])
+        return int(ends[-1, 1])
+
+    def _units(self, components: list[_Component], slots: list[int]) -> tuple[npt.NDArray[np.int64], int]:
+        """The tables of every block in a unit of a scan, and how many units it has."""
+        across = max(c.across for c in self._components.values())
+        down = max(c.down for c in self._components.values())
+        if len(components) == 1:  # not interleaved: every block is a unit
+            columns = -(-self._width * components[0].across // across)
+            rows = -(-self._height * components[0].down // down)
+            count, repeats = -(-columns // 8) * -(-rows // 8), [1]
+        else:
+            count = -(-self._width // (8 * across)) * -(-self._height // (8 * down))
+            repeats = [c.across * c.down for c in components]
+        if sum(repeats) > _MOST_BLOCKS or any((slot >> 4) > 3 or (slot & 15) > 3 for slot in slots):
+            raise ValueError("a scan that does not exist")
+        blocks = [(s >> 4, 4 + (s & 15)) for s, n in zip(slots, repeats, strict=True) for _ in range(n)]
+        return np.array(blocks, np.int64) << 16, count
+
+
+@lru_cache(maxsize=16)
+def _lookup(table: bytes) -> npt.NDArray[np.uint16]:
+    """A Huffman table as JPEG has it (the number of codes by length, their symbols) as ``coded.symbol`` wants it."""
+    lengths = np.repeat(np.arange(1, 17), np.frombuffer(table[:16], np.uint8))
+    spans = 1 << (16 - lengths)
+    if spans.sum() > 1 << 16:
+        raise ValueError("a Huffman table that does not exist")
+    entries = lengths << 8 | np.frombuffer(table[16:], np.uint8)
+    found = np.zeros(1 << 16, np.uint16)
+    found[: spans.sum()] = np.repeat(entries, spans)
+    return found
+
+
+@cache
+def _standard_tables() -> dict[int, npt.NDArray[np.uint16]]:
+    """The tables that hold where a sequential JPEG brings none, as a camera's video does; here from an encoder."""
+    data = simplejpeg.encode_jpeg(np.zeros((8, 8, 3), np.uint8))
+    tables, at = {}, 2
+    while data[at + 1] != _SOS:
+        length = data[at + 2] << 8 | data[at + 3]
+        if data[at + 1] == _DHT:
+            body = data[at + 4 : at + 2 + length]
+            tables[4 * (body[0] >> 4) + (body[0] & 15)] = _lookup(body[1:])
+        at += 2 + length
+    return tables
