@@ -135,7 +135,7 @@ class SessionBook:
             self._sessions[one.id] = session
             session.revive()
         for sid, owner in damaged:
-            self._tombstones.put(sid, Tombstone(owner, "lost", "what was saved of it is damaged"))
+            self._tombstones.put(owner, sid, Tombstone(owner, "lost", "what was saved of it is damaged"))
         if saved or damaged:
             whole = sum(one.whole for one in saved)
             log.info("sessions taken up", sessions=len(saved), whole=whole, damaged=len(damaged))
@@ -186,16 +186,20 @@ class SessionBook:
 
     async def follow_lanes(self) -> None:
         """Restore the sessions of lanes that die, for as long as the service runs."""
+        self._revive_lost()
         async for event in self._lanes.events():
             if isinstance(event, KeysLost):
                 self._metrics.lane_restarts.labels(cause=event.cause).inc()
                 log.error("lane lost", lane=event.lane, cause=event.cause, sessions=len(event.keys))
             else:
                 log.info("lane ready", lane=event.lane, confined=event.confined)
-            # Also those that gave up waiting for a lane.
-            for session in self._sessions.values():
-                if not session.lane.held:
-                    session.revive()
+            self._revive_lost()
+
+    def _revive_lost(self) -> None:
+        """Restore the sessions that no lane has, those too that gave up waiting for one."""
+        for session in self._sessions.values():
+            if not session.lane.held:
+                session.revive()
 
     def _open(self, owner: str, options: Options) -> Session:
         """A place in a lane, taken at once or not at all, and a session around it."""
@@ -288,7 +292,7 @@ class SessionBook:
         self._sessions.pop(session.id, None)
         self._lanes.release(session.id)
         self.keeper.forget(session)
-        self._tombstones.put(session.id, Tombstone(session.owner, reason, detail))
+        self._tombstones.put(session.owner, session.id, Tombstone(session.owner, reason, detail))
         self._metrics.sessions_closed.labels(reason=reason).inc()
         log.info("session ended", session=session.id, reason=reason, detail=detail, seq=session.seq)
         if session.attachment is not None:

@@ -351,3 +351,14 @@ async def test_a_restored_session_has_no_longer_idle_time_than_is_allowed_here()
     world.lanes.call = restored  # type: ignore[method-assign]
     session = await world.book.restore("me", b"snapshot", None)
     assert session.options.idle_timeout_s == 60
+
+
+async def test_one_tenant_pushes_out_nothing_that_is_remembered_of_another() -> None:
+    world = World(places=5, max_tombstones=2, max_idempotency_keys=2)
+    theirs = await world.create("other", key="k")
+    ended = await world.create("other")
+    world.book.close("other", ended.id)
+    for number in range(5):
+        world.book.close("me", (await world.create(key=f"k{number}")).id)
+    assert gone(world, ended, "other") == ("session-gone", "closed")
+    assert await world.create("other", key="k") is theirs
