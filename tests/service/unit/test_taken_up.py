@@ -8,10 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from service.app import create_app
 from service.lanes.interface import Place
 from service.sessions.session import Session
+from service.settings import Settings
 
-from .test_book import Frame, World, gone
+from .test_book import Frame, Lanes, World, gone
 from .test_recovery import Keeping
 
 
@@ -126,6 +128,25 @@ async def test_opening_the_state_directory_changes_nothing(tmp_path: Path) -> No
     second.book.keeper.open()
     assert second.book.keeper._vault is not None
     second.book.keeper._vault.close()
+    third = Keeping(state_dir=str(tmp_path))
+    await third.book.load()
+    assert third.book.find("me", session.id).lost_after is None
+    await third.book.park()
+
+
+async def test_a_start_that_fails_loses_nothing(tmp_path: Path) -> None:
+    first = Keeping(state_dir=str(tmp_path))
+    await first.book.load()
+    session = await left_behind(first)
+
+    class Broken(Lanes):
+        async def start(self) -> None:
+            raise OSError("no process can be made")
+
+    app = create_app(Settings(state_dir=str(tmp_path)), lanes=Broken(2))
+    with pytest.raises(OSError, match="no process"):
+        async with app.router.lifespan_context(app):
+            raise AssertionError
     third = Keeping(state_dir=str(tmp_path))
     await third.book.load()
     assert third.book.find("me", session.id).lost_after is None
