@@ -9,7 +9,9 @@ import sqlite3
 from collections import deque
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from zlib import crc32
 
 import msgpack
@@ -56,7 +58,20 @@ def remains(folder: Path, frames: list[bytes]) -> int:
     )
 
 
-def as_before(folder: Path, sessions: dict[str, bytes], ended: dict[str, bytes], whole: int = 1) -> None:
+@dataclass
+class Before:
+    """A row of the file, before it is packed."""
+
+    id: str
+    owner: str
+    front: dict[str, Any]
+    op: str
+    args: dict[str, Any]
+    data: bytes
+    past: bytes = b"entry"
+
+
+def as_before(folder: Path, kept: list[Before], ended: list[Before]) -> None:
     """The file as the version wrote it that left the bytes of ``ended`` sessions in free pages."""
     folder.mkdir(mode=0o700, exist_ok=True)
     with closing(sqlite3.connect(folder / FILE, isolation_level=None)) as db:
@@ -65,18 +80,15 @@ def as_before(folder: Path, sessions: dict[str, bytes], ended: dict[str, bytes],
         for statement in SCHEMA.split(";"):
             db.execute(statement)
         db.execute("PRAGMA user_version=1")
-        for sid, data in (sessions | ended).items():
-            front = msgpack.packb({"seq": 0})
-            args = msgpack.packb({})
-            checksum = crc32(data, crc32(args, crc32(front)))
-            db.execute(
-                "INSERT INTO session VALUES (?, 'me', ?, 'revive', ?, ?, ?, ?)",
-                (sid, front, args, data, checksum, whole),
-            )
-            db.execute("INSERT INTO trajectory VALUES (?, 0, ?)", (sid, b"entry"))
-        for sid in ended:
-            db.execute("DELETE FROM session WHERE id = ?", (sid,))
-            db.execute("DELETE FROM trajectory WHERE session = ?", (sid,))
+        for one in kept + ended:
+            front, args = msgpack.packb(one.front), msgpack.packb(one.args)
+            checksum = crc32(one.data, crc32(args, crc32(front)))
+            row = (one.id, one.owner, front, one.op, args, one.data, checksum)
+            db.execute("INSERT INTO session VALUES (?, ?, ?, ?, ?, ?, ?, 1)", row)
+            db.execute("INSERT INTO trajectory VALUES (?, 0, ?)", (one.id, one.past))
+        for one in ended:
+            db.execute("DELETE FROM session WHERE id = ?", (one.id,))
+            db.execute("DELETE FROM trajectory WHERE session = ?", (one.id,))
 
 
 @pytest.mark.parametrize("others", [False, True], ids=["the last ones", "beside others"])
@@ -121,13 +133,14 @@ def test_what_a_killed_process_left_in_the_log_is_erased_at_the_next_start(tmp_p
 
 def test_remains_of_an_earlier_version_are_erased_and_its_sessions_are_read(tmp_path: Path) -> None:
     kept, ended = frames(3), frames(8, seed=2)
-    as_before(tmp_path, {f"k{n}": data for n, data in enumerate(kept)}, {f"e{n}": data for n, data in enumerate(ended)})
+    rows = [Before(f"s{n}", "me", {"seq": 0}, "revive", {}, data) for n, data in enumerate(kept + ended)]
+    as_before(tmp_path, rows[: len(kept)], rows[len(kept) :])
     assert remains(tmp_path, ended) > 0
     vault = Vault(tmp_path, Metrics())
     vault.open()
     found, damaged = vault.take()
     assert [(one.id, one.base.data, one.whole, list(one.entries)) for one in found] == [
-        (f"k{n}", data, True, [(0, b"entry")]) for n, data in enumerate(kept)
+        (f"s{n}", data, True, [(0, b"entry")]) for n, data in enumerate(kept)
     ]
     assert damaged == []
     assert remains(tmp_path, ended) == 0
