@@ -13,6 +13,7 @@ from structlog.testing import capture_logs
 from service import app as application
 from service.app import create_app
 from service.lanes.interface import LaneStatus
+from service.sessions.session import Options
 from service.settings import Settings
 
 from .routes import dependencies, routes
@@ -65,6 +66,33 @@ async def test_the_service_is_ready_as_long_as_one_lane_is(
     body = answer.json()
     assert (answer.status_code, body.get("detail", body["status"])) == (status, told)
     assert (body["lanes_ready"], body["lanes"]) == (ready, ready + failing + starting)
+
+
+@pytest.mark.parametrize(
+    ("format", "accept", "status", "kind"),
+    [
+        ("csv", "text/csv", 200, "text/csv"),
+        ("csv", "text/*;q=0.5", 200, "text/csv"),
+        ("csv", "application/json", 200, "text/csv"),
+        ("csv", "text/plain", 406, "application/problem+json"),
+        ("mot", "text/plain", 200, "text/plain"),
+        ("otb", "application/msgpack", 200, "text/plain"),
+        ("otb", "image/png", 406, "application/problem+json"),
+        ("json", "application/msgpack", 200, "application/msgpack"),
+        ("json", "text/csv", 406, "application/problem+json"),
+    ],
+)
+async def test_a_trajectory_can_be_asked_for_by_its_own_media_type(
+    format: str, accept: str, status: int, kind: str
+) -> None:
+    app = create_app(Settings(), lanes=Lanes(1))
+    options = Options("default", "reject", None, False, 300.0)
+    session = await app.state.service.book.create("anyone", b"frame", [[1, 2, 3, 4]], options, None)
+    transport = httpx2.ASGITransport(app)
+    async with httpx2.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client:
+        path = f"/v1/sessions/{session.id}/trajectory?target=0&format={format}"
+        answer = await client.get(path, headers={"Accept": accept})
+    assert (answer.status_code, answer.headers["content-type"].partition(";")[0]) == (status, kind)
 
 
 async def test_work_in_the_background_that_fails_is_logged_and_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
