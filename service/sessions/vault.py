@@ -29,8 +29,14 @@ LOCK_TIMEOUT_S = 5.0
 RETRY_S = 1.0
 TELL_EVERY_S = 60.0
 MOST_AT_ONCE = 1 << 28
-# What is deleted is overwritten, large values too: FAST would leave them in free pages.
-PRAGMAS = ("locking_mode=EXCLUSIVE", "journal_mode=WAL", "synchronous=NORMAL", "secure_delete=ON")
+# What is deleted is overwritten, large values too: FAST would leave them in free pages. No other file has any of it.
+PRAGMAS = (
+    "locking_mode=EXCLUSIVE",
+    "journal_mode=WAL",
+    "synchronous=NORMAL",
+    "secure_delete=ON",
+    "temp_store=MEMORY",
+)
 SCHEMA = """
 CREATE TABLE session (id TEXT PRIMARY KEY, owner TEXT NOT NULL, front BLOB NOT NULL, op TEXT NOT NULL,
     args BLOB NOT NULL, data BLOB NOT NULL, checksum INTEGER NOT NULL, whole INTEGER NOT NULL);

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import signal
 from datetime import timedelta
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import pytest
 
 from service.app import create_app
 from service.lanes.interface import Place
+from service.server import make_server
 from service.sessions.session import Session
 from service.settings import Settings
 
@@ -151,6 +154,35 @@ async def test_a_start_that_fails_loses_nothing(tmp_path: Path) -> None:
     await third.book.load()
     assert third.book.find("me", session.id).lost_after is None
     await third.book.park()
+
+
+def test_a_signal_in_the_middle_of_the_start_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As soon as the server hears signals, before it has started anything."""
+    first = Keeping(state_dir=str(tmp_path))
+    session = asyncio.run(_loaded_and_left(first))
+    server = make_server(create_app(Settings(state_dir=str(tmp_path), port=0, drain_grace_s=0), lanes=Lanes(2)))
+    load = server.config.load
+
+    def signalled() -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+        load()
+
+    monkeypatch.setattr(server.config, "load", signalled)
+    asyncio.run(server.serve())
+    third = Keeping(state_dir=str(tmp_path))
+
+    async def look() -> int | None:
+        await third.book.load()
+        lost_after = third.book.find("me", session.id).lost_after
+        await third.book.park()
+        return lost_after
+
+    assert asyncio.run(look()) is None
+
+
+async def _loaded_and_left(world: World) -> Session:
+    await world.book.load()
+    return await left_behind(world)
 
 
 async def test_a_session_is_not_idle_until_it_is_restored(tmp_path: Path) -> None:
