@@ -38,12 +38,12 @@ class Gate:
         self._fixed = by_digest(key.get_secret_value() for key in settings.api_keys)
         self._file = settings.api_keys_file
         self._file_is = self._file_was = self._look()
-        self._keys = self._fixed
+        self._open = not settings.authenticated
+        self._keys = self._read() or self._fixed
         self._admin = digest(settings.admin_key.get_secret_value()) if settings.admin_key else None
         self._origins = frozenset(settings.allowed_origins)
-        self._hosts = None if settings.authenticated else Hosts(settings.host, settings.public_url)
+        self._hosts = Hosts(settings.host, settings.public_url) if self._open else None
         self._tickets: Memory[Ticket] = Memory(settings.max_tickets, settings.ticket_s, clock)
-        self._read(self._file_is)
 
     def refresh(self) -> bool:
         """Read the file of keys again if it has changed and is at rest: whether the keys have changed.
@@ -55,7 +55,15 @@ class Gate:
         rests, self._file_was = found == self._file_was, found
         if not rests or found == self._file_is:
             return False
-        return self._read(found)
+        keys = self._read()
+        if keys is not None and self._look() != found:
+            return False  # it was written meanwhile
+        self._file_is = found
+        if keys is None or keys == self._keys:
+            return False
+        self._keys = keys
+        log.info("keys read", keys=len(keys))
+        return True
 
     def sweep(self) -> None:
         """Forget tickets that are too old."""
@@ -71,31 +79,23 @@ class Gate:
             return ()
         return told.st_ino, told.st_mtime_ns, told.st_size
 
-    def _read(self, found: tuple[int, ...]) -> bool:
-        """Read the file of keys as it was ``found``, if there is to be one: whether the keys have changed."""
+    def _read(self) -> dict[bytes, str] | None:
+        """All keys, those of the file among them; None if it cannot be read."""
         if self._file is None:
-            return False
+            return self._fixed
         try:
-            keys = self._fixed | read_keys(self._file)
+            return self._fixed | read_keys(self._file)
         except ValueError as unreadable:
-            self._file_is = found
             log.error("the keys stay as they were", reason=str(unreadable))
-            return False
-        if self._look() != found:
-            return False  # it was written meanwhile
-        self._file_is = found
-        changed, self._keys = keys != self._keys, keys
-        if changed:
-            log.info("keys read", keys=len(keys))
-        return changed
+            return None
 
     def knows(self, identity: Identity) -> bool:
         """Whether the key that the identity was shown with is good still."""
-        return not self._keys or self._keys.get(identity.key) == identity.owner
+        return self._open or self._keys.get(identity.key) == identity.owner
 
     def identify(self, headers: Mapping[str, str]) -> Identity:
         """Who shows this key. Raises unauthenticated."""
-        if not self._keys:
+        if self._open:
             return Identity(ANYONE, b"")
         shown = _shown(headers)
         if shown is None:

@@ -95,6 +95,19 @@ def test_a_file_that_vanishes_or_is_emptied_changes_nothing(file: Path) -> None:
     assert good(gate) == KEYS[:1]
 
 
+def test_a_file_that_vanishes_before_it_is_read_lets_nobody_in(file: Path) -> None:
+    """Not everybody, as a service without keys does."""
+    settings = Settings(api_keys_file=file)
+    content = file.read_text()
+    file.unlink()
+    gate = Gate(settings, lambda: 0.0)
+    assert good(gate) == []
+    file.write_text(content)
+    gate.refresh()
+    assert gate.refresh()
+    assert good(gate) == KEYS
+
+
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_files_as_editors_save_them(tmp_path: Path, encoding: str, end: str) -> None:
