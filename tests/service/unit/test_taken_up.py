@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import sqlite3
+from contextlib import closing
 from datetime import timedelta
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from service.app import create_app
 from service.lanes.interface import Place
 from service.server import make_server
 from service.sessions.session import Session
+from service.sessions.vault import FILE
 from service.settings import Settings
 
 from .test_book import Frame, Lanes, World, gone
@@ -209,3 +212,19 @@ async def test_a_session_is_not_idle_until_it_is_restored(tmp_path: Path) -> Non
     frame = Frame(b"", taken_up.number(None), None, None, 0.0, 0.0)
     assert (await taken_up.track(frame))[0]["seq"] == session.seq + 1
     await second.book.park()
+
+
+async def test_a_damaged_session_is_told_to_its_owner_and_leaves_the_file(tmp_path: Path) -> None:
+    first = Keeping(state_dir=str(tmp_path))
+    await first.book.load()
+    damaged, kept = await first.create(), await first.create()
+    await first.book.park()
+    with closing(sqlite3.connect(tmp_path / FILE, isolation_level=None)) as db:
+        db.execute("UPDATE session SET checksum = checksum + 1 WHERE id = ?", (damaged.id,))
+    second = Keeping(state_dir=str(tmp_path))
+    await second.book.load()
+    assert gone(second, damaged) == ("session-gone", "lost")
+    assert second.book.find("me", kept.id).ended is None
+    await second.book.park()
+    with closing(sqlite3.connect(tmp_path / FILE)) as db:
+        assert db.execute("SELECT id FROM session").fetchall() == [(kept.id,)]
