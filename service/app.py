@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Coroutine
+from functools import partial
 from importlib.metadata import version
 from secrets import token_bytes
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import structlog
 from fastapi import FastAPI
@@ -47,6 +48,8 @@ if TYPE_CHECKING:
     from .observability.tracing import Tracing
 
 SECRET_BYTES = 32
+# After a fault in the background, so that one that lasts does not fill the log.
+AGAIN_S = 1.0
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.app")
 
@@ -114,6 +117,16 @@ def _tracing(settings: Settings) -> Tracing | None:
     return Tracing(settings.otlp_endpoint, settings.trace_ratio, version("mfcmt"))
 
 
+async def _lasting(work: Callable[[], Coroutine[Any, Any, None]]) -> None:
+    """Do ``work``, which does not end by itself; once more whenever it fails."""
+    while True:
+        try:
+            await work()
+        except Exception:
+            log.exception("work in the background failed and begins anew")
+        await asyncio.sleep(AGAIN_S)
+
+
 @contextlib.asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     service: Service = app.state.service
@@ -124,18 +137,13 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         log.warning("listening beyond loopback without keys: everyone shares all sessions", host=settings.host)
     if not settings.state_dir:
         log.warning("no MFCMT_STATE_DIR: sessions end with this process")
-    await service.book.load()
-    await service.lanes.start()
-    keepers = [
-        asyncio.create_task(work)
-        for work in (
-            service.book.keep(),
-            service.book.follow_lanes(),
-            service.follow_keys(),
-            watch_lag(service.metrics.loop_lag_seconds),
-        )
-    ]
+    keepers: list[asyncio.Task[None]] = []
     try:
+        await service.book.load()
+        await service.lanes.start()
+        watch = partial(watch_lag, service.metrics.loop_lag_seconds)
+        background = (service.book.keep, service.book.follow_lanes, service.follow_keys, watch)
+        keepers += [asyncio.create_task(_lasting(work)) for work in background]
         yield
     finally:
         await service.book.park()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,26 +31,46 @@ def by_digest(keys: Iterable[str]) -> dict[bytes, str]:
     return {digest(key): digest(key).hex()[:NAME_CHARACTERS] for key in keys}
 
 
+def check_key(key: str) -> None:
+    """Raises ValueError for what no client can show in a header, and for what can be guessed."""
+    if not (key.isascii() and key.isprintable()):
+        raise ValueError("a key has printable ASCII characters only: no header can carry others")
+    if len(key) < LEAST_CHARACTERS:
+        raise ValueError(f"a key has at least {LEAST_CHARACTERS} characters")
+
+
 def read_keys(path: Path) -> dict[bytes, str]:
     """The owner of each key of a file by its digest; lines of the same name are keys of one owner.
 
     Raises ValueError, whose text holds no key.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as failed:
-        raise ValueError("the file cannot be read") from failed
     owners: dict[bytes, str] = {}
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate(_text(path).splitlines(), 1):
         words = line.split()
         if not words or words[0].startswith("#"):
             continue
         *name, key = words
         if len(name) > 1:
             raise ValueError(f"line {number} is neither KEY nor NAME KEY")
-        if len(key) < LEAST_CHARACTERS:
-            raise ValueError(f"line {number}: a key has at least {LEAST_CHARACTERS} characters")
+        try:
+            check_key(key)
+        except ValueError as wrong:
+            raise ValueError(f"line {number}: {wrong}") from None
         owners |= {digest(key): f"name:{name[0]}"} if name else by_digest([key])
     if not owners:
         raise ValueError("the file holds no key")
     return owners
+
+
+def _text(path: Path) -> str:
+    """The file's text, without the mark that some editors put in front. Raises ValueError."""
+    try:
+        data = path.read_bytes()
+    except OSError as failed:
+        raise ValueError("the file cannot be read") from failed
+    if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) or b"\0" in data:
+        raise ValueError("the file is not UTF-8 but UTF-16 or binary: save it as UTF-8")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise ValueError("the file is not UTF-8: save it as UTF-8") from None

@@ -30,6 +30,7 @@ CATALOGUE: dict[str, Kind] = {
     "stale-frame": Kind(409, "The frame's number is not above the last", "seq 4 is not above 9"),
     "full-frame-needed": Kind(409, "The newest frame does not show all that is needed", "send the whole frame"),
     "session-gone": Kind(410, "The session has ended", "the session ended: idle"),
+    "host-refused": Kind(421, "The service does not answer to this host name", "evil.example is not a name of it"),
     "frame-too-large": Kind(413, "The frame is above a limit", "9000000 bytes; at most 8388608"),
     "body-too-large": Kind(413, "The body is above the limit", "at most 65536 bytes"),
     "unsupported-image": Kind(415, "The image is not JPEG, PNG or WebP", "not a JPEG, PNG or WebP image"),

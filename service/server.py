@@ -38,9 +38,13 @@ class Server(uvicorn.Server):
         self._loop: asyncio.AbstractEventLoop | None = None
         self._draining: asyncio.Task[None] | None = None
 
+    async def serve(self, sockets: Any = None) -> None:
+        """Serve until a signal, which may come at any time from here on."""
+        self._loop = asyncio.get_running_loop()
+        await super().serve(sockets)
+
     async def startup(self, sockets: Any = None) -> None:
         """Start, and say where."""
-        self._loop = asyncio.get_running_loop()
         if not allow_files(self._service.settings):
             log.warning("the limit of open files is below max_connections")
         await super().startup(sockets)

@@ -38,9 +38,10 @@ class Service:
     seal: Seal
 
     async def follow_keys(self) -> None:
-        """Cut the streams of keys that are revoked, for as long as the service runs."""
+        """Cut the streams of keys that are revoked and forget old tickets, for as long as the service runs."""
         while True:
             await asyncio.sleep(KEYS_EVERY_S)
+            self.gate.sweep()
             if self.gate.refresh():
                 cut = self.book.end_streams(4401, "the key was revoked", self._revoked)
                 log.info("streams of revoked keys cut", streams=cut)

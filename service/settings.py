@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -9,11 +10,13 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
-from .keys import LEAST_CHARACTERS, read_keys
+from .keys import LEAST_CHARACTERS, check_key, read_keys
 from .lanes.cores import usable_cores
 
 MIB = 1024 * 1024
 TEN_YEARS_S = 3.2e8
+# Apps in a WebView have origins of other schemes than http.
+ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^\s/?#@*\\]+", re.IGNORECASE)
 Secrets = Annotated[tuple[SecretStr, ...], NoDecode]
 Names = Annotated[tuple[str, ...], NoDecode]
 
@@ -85,12 +88,14 @@ class Settings(BaseSettings):
     attached_idle_timeout_s: float = _positive(600.0, "the same while a stream is attached")
     max_session_s: float = _positive(86400.0, "a session ends after this long however busy")
     tombstone_s: float = _positive(3600.0, "an ended session answers 410 for this long")
-    max_tombstones: int = Field(default=10_000, ge=0, description="ended sessions that are remembered")
+    max_tombstones: int = Field(default=10_000, ge=0, description="ended sessions of one key that are remembered")
     max_trajectory_bytes: int = Field(
         default=8 * MIB, ge=4096, description="past results kept in one session, oldest go first"
     )
     idempotency_s: float = _positive(600.0, "an Idempotency-Key is remembered for this long")
-    max_idempotency_keys: int = Field(default=10_000, ge=0, description="Idempotency-Keys that are remembered")
+    max_idempotency_keys: int = Field(
+        default=10_000, ge=0, description="Idempotency-Keys of one key that are remembered"
+    )
 
     credit_frames: int = Field(default=4, ge=1, le=64, description="unanswered frames of a lossless stream")
     max_messages_per_s: float = _positive(2000.0, "messages of one stream; as many again may come at once")
@@ -123,14 +128,17 @@ class Settings(BaseSettings):
     api_keys_file: Path | None = Field(
         default=None, description="more keys, one a line as KEY or NAME KEY; read again when it changes"
     )
-    admin_key: SecretStr | None = Field(default=None, description="key for /metrics; none leaves it open")
+    admin_key: SecretStr | None = Field(
+        default=None, description="key for /metrics, at least 16 characters; none leaves it open"
+    )
     allow_unauthenticated: bool = Field(default=False, description="listen beyond loopback without keys")
     allowed_origins: Names = Field(
-        default=(), description="browser origins besides the service's own, as https://host:port"
+        default=(),
+        description="browser origins besides the service's own, as https://host:port; apps' as capacitor://localhost",
     )
     ticket_s: float = _positive(30.0, "a ticket is good for this long")
     max_ticket_s: float = _positive(300.0, "the most that a client may ask for as ttl_s")
-    max_tickets: int = Field(default=10_000, ge=1, description="tickets that wait for their handshake")
+    max_tickets: int = Field(default=10_000, ge=1, description="tickets of one key that wait for their handshake")
     signing_keys: Secrets = Field(default=(), description="snapshots are signed with the first, read with any")
 
     log_format: Literal["auto", "json", "console"] = Field(default="auto", description="auto: console on a terminal")
@@ -153,7 +161,23 @@ class Settings(BaseSettings):
             return tuple(part for part in (p.strip() for p in value.split(",")) if part)
         return value
 
-    @field_validator("api_keys", "signing_keys")
+    @field_validator("api_keys")
+    @classmethod
+    def _usable_keys(cls, value: tuple[SecretStr, ...]) -> tuple[SecretStr, ...]:
+        for secret in value:
+            check_key(secret.get_secret_value())
+        return value
+
+    @field_validator("admin_key")
+    @classmethod
+    def _usable_admin_key(cls, value: SecretStr | None) -> SecretStr | None:
+        if value is not None:
+            if not value.get_secret_value():
+                raise ValueError("is empty: set a key, or unset the variable to leave /metrics open")
+            check_key(value.get_secret_value())
+        return value
+
+    @field_validator("signing_keys")
     @classmethod
     def _long_enough(cls, value: tuple[SecretStr, ...]) -> tuple[SecretStr, ...]:
         if any(len(secret.get_secret_value()) < LEAST_CHARACTERS for secret in value):
@@ -171,9 +195,9 @@ class Settings(BaseSettings):
     @classmethod
     def _bare_origins(cls, value: tuple[str, ...]) -> tuple[str, ...]:
         for origin in value:
-            scheme, found, rest = origin.partition("://")
-            if not found or scheme not in ("http", "https") or not rest or "/" in rest:
-                raise ValueError("an origin is scheme://host[:port] and nothing more")
+            if not ORIGIN.fullmatch(origin):
+                told = "as https://app.example:8443 or capacitor://localhost"
+                raise ValueError(f"an origin is scheme://host[:port] and nothing more, {told}")
         return tuple(origin.lower() for origin in value)
 
     @field_validator("public_url", "otlp_endpoint")

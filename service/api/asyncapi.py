@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from importlib.metadata import version
 from typing import Any
 
@@ -43,8 +44,10 @@ CLOSES = {
 
 def close_codes() -> dict[int, str]:
     """Every close code of the protocol and what it says."""
-    refused = {code: f"`{problem}`" for problem, code in CLOSE_CODES.items() if code not in CLOSES}
-    return dict(sorted((CLOSES | {1013: "`at-capacity` or `draining`"} | refused).items()))
+    refused: defaultdict[int, list[str]] = defaultdict(list)
+    for problem, code in CLOSE_CODES.items():
+        refused[code].append(f"`{problem}`")
+    return dict(sorted(({code: " or ".join(some) for code, some in refused.items()} | CLOSES).items()))
 
 
 def document() -> dict[str, Any]:

@@ -10,7 +10,7 @@ from ..schemas import examples
 from .bodies import FORM, JSON, MSGPACK
 from .bodies import SNAPSHOT as SNAPSHOT_TYPE
 
-ANY_CALL = ("unauthenticated", "origin-refused", "rate-limited", "internal", "at-capacity")
+ANY_CALL = ("unauthenticated", "host-refused", "origin-refused", "rate-limited", "internal", "at-capacity")
 WITH_BODY = ("bad-request", "body-too-large", "unsupported-media-type", "deadline-exceeded")
 ON_SESSION = ("session-not-found", "session-gone")
 IN_LANE = ("deadline-exceeded",)
@@ -240,10 +240,11 @@ CAPABILITIES = _call(
     *NEGOTIATED,
 )
 _HEALTH = {"content": {JSON: {"schema": ref("Health"), "example": examples.HEALTH}}}
-LIVEZ = _call(200, {"description": "the process answers", **_HEALTH}, "origin-refused", "internal")
+LIVEZ = _call(200, {"description": "the process answers", **_HEALTH}, "host-refused", "origin-refused", "internal")
 READYZ = _call(
     200,
     {"description": "new sessions are welcome", **_HEALTH},
+    "host-refused",
     "origin-refused",
     "internal",
     "at-capacity",
@@ -258,6 +259,7 @@ METRICS = _call(
             for kind in ("text/plain", "application/openmetrics-text")
         },
     },
+    "host-refused",
     "origin-refused",
     "internal",
     "unauthenticated",

@@ -1,4 +1,8 @@
-"""What calls are given: the service, who is asking, the media type of the answer."""
+"""What calls are given: the service, who is asking, the media type of the answer.
+
+All are coroutine functions, though none waits: FastAPI runs plain functions in threads, beside the event loop that owns
+the sessions, and the way there and back costs more than most calls.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,7 @@ from .answers import chosen_type
 from .bodies import JSON, MSGPACK
 
 
-def _service(request: Request) -> Service:
+async def _service(request: Request) -> Service:
     service: Service = request.app.state.service
     return service
 
@@ -22,7 +26,7 @@ def _service(request: Request) -> Service:
 ServiceDep = Annotated[Service, Depends(_service)]
 
 
-def _identity(request: Request, service: ServiceDep) -> Identity:
+async def _identity(request: Request, service: ServiceDep) -> Identity:
     identity = service.gate.identify(request.headers)
     service.meter.call(identity.owner)
     return identity
@@ -31,11 +35,11 @@ def _identity(request: Request, service: ServiceDep) -> Identity:
 IdentityDep = Annotated[Identity, Depends(_identity)]
 
 
-def _caller(identity: IdentityDep) -> str:
+async def _caller(identity: IdentityDep) -> str:
     return identity.owner
 
 
-def _accepted(request: Request) -> str:
+async def _accepted(request: Request) -> str:
     return chosen_type(request, JSON, MSGPACK)
 
 
@@ -43,7 +47,7 @@ Caller = Annotated[str, Depends(_caller)]
 Accepted = Annotated[str, Depends(_accepted)]
 
 
-def _session(service: ServiceDep, caller: Caller, session_id: str) -> Session:
+async def _session(service: ServiceDep, caller: Caller, session_id: str) -> Session:
     return service.book.find(caller, session_id)
 
 

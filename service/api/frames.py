@@ -37,7 +37,8 @@ async def post_frame(
     number = seq
     try:
         service.meter.frame(session.owner)
-        upload = await bodies.read_upload(request, service.settings, raw=True)
+        with session.in_use():
+            upload = await bodies.read_upload(request, service.settings, raw=True)
         service.meter.add_bytes(session.owner, len(upload.frame))
         service.metrics.http_frame(len(upload.frame))
         told = {"ts": ts, "region": region and [int(v) for v in region.split(",")]} | upload.fields
@@ -57,7 +58,6 @@ async def post_frame(
         result, _, stages = await session.track(frame)
     finally:
         session.http_waiting -= 1
-    session.touched = time.monotonic()
     service.metrics.frame(stages, session.id, frame.seq, request.scope["state"].get("span"), live=True)
     return answer(accepted, 200, result)
 

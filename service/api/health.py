@@ -48,9 +48,9 @@ async def metrics(request: Request, service: ServiceDep) -> Response:
 def _health(service: Service) -> dict[str, Any]:
     lanes = service.lanes.status()
     ready = sum(status.ready for status in lanes)
-    status = "ok" if ready else "starting"
-    if any(lane.failing for lane in lanes):
-        status = "failing"
+    status = "ok"
+    if not ready:
+        status = "failing" if any(lane.failing for lane in lanes) else "starting"
     if service.book.draining:
         status = "draining"
     return {"status": status, "lanes_ready": ready, "lanes": len(lanes)}

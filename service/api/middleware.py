@@ -74,7 +74,7 @@ class Surroundings:
             await send(message)
 
         try:
-            self._service.gate.check_origin(headers)
+            self._service.gate.check_browser(headers)
             if scope["state"].get(CROWDED) and scope["path"] not in PROBES:
                 raise _crowded()
             if scope["method"] == "OPTIONS" and "access-control-request-method" in headers:

@@ -21,6 +21,7 @@ from .answers import problem_response
 
 CLOSE_CODES = {
     "unauthenticated": 4401,
+    "host-refused": 4403,
     "origin-refused": 4403,
     "session-not-found": 4404,
     "attached-elsewhere": 4409,
@@ -80,7 +81,7 @@ class StreamEndpoint:
     def _admit(self, scope: Scope, headers: Headers) -> tuple[Session, Mode, Identity]:
         """The session that may be attached to, whatever is attached now. Raises ProblemError."""
         service = self._service
-        service.gate.check_origin(headers)
+        service.gate.check_browser(headers)
         if scope["state"].get(CROWDED):
             raise ProblemError("at-capacity", "too many connections", retry_after_s=1.0)
         sid = scope["path_params"]["session_id"]

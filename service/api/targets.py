@@ -22,7 +22,7 @@ TargetId = Annotated[int, Path(ge=0, le=fields.MAX_SEQ, description="the target'
 @router.post("/sessions/{session_id}/targets", status_code=201, **contract.ADD_TARGET)
 async def add_target(request: Request, service: ServiceDep, session: SessionDep, accepted: Accepted) -> Response:
     """Start another target on the newest frame."""
-    box = await _box(request, service)
+    box = await _box(request, service, session)
     return answer(accepted, 201, await _act(session, {"type": "add", "box": box}))
 
 
@@ -31,7 +31,7 @@ async def correct_target(
     request: Request, service: ServiceDep, session: SessionDep, accepted: Accepted, target_id: TargetId
 ) -> Response:
     """Start a target anew on the newest frame; its `scale` is 1 again."""
-    box = await _box(request, service)
+    box = await _box(request, service, session)
     return answer(accepted, 200, await _act(session, {"type": "correct", "target": target_id, "box": box}))
 
 
@@ -42,8 +42,9 @@ async def remove_target(session: SessionDep, target_id: TargetId) -> Response:
     return Response(status_code=204)
 
 
-async def _box(request: Request, service: Service) -> list[float]:
-    told = await bodies.read_map(request, service.settings)
+async def _box(request: Request, service: Service, session: Session) -> list[float]:
+    with session.in_use():
+        told = await bodies.read_map(request, service.settings)
     box = fields.box(told.pop("box", None))
     bodies.nothing_more(told)
     return box

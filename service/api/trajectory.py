@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 import msgpack
 from fastapi import APIRouter, Query
+from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
 from ..problems import ProblemError
@@ -17,8 +18,9 @@ from ..sessions import wiring
 from ..sessions.session import Session
 from ..sessions.trajectory import Entry, unpacked
 from . import contract
-from .bodies import MSGPACK
-from .deps import Accepted, SessionDep
+from .answers import chosen_type
+from .bodies import JSON, MSGPACK
+from .deps import SessionDep
 
 router = APIRouter(tags=["trajectory"])
 Format = Literal["json", "csv", "otb", "mot"]
@@ -31,8 +33,8 @@ CONFIDENCE = {"tracking": "1", "uncertain": "0.5", "lost": "0"}
 
 @router.get("/sessions/{session_id}/trajectory", **contract.TRAJECTORY)
 async def get_trajectory(
+    request: Request,
     session: SessionDep,
-    accepted: Accepted,
     format: Annotated[Format, Query(description="`otb` needs `target`")] = "json",
     after: Annotated[int, Query(ge=-1, le=fields.MAX_SEQ, description="frames above this number")] = -1,
     target: Annotated[int | None, Query(ge=0, le=fields.MAX_SEQ, description="one target alone")] = None,
@@ -40,13 +42,22 @@ async def get_trajectory(
     """Every tracked frame, the creating one too. OTB and MOT count from 1."""
     if format == "otb" and target is None:
         raise ProblemError("bad-request", "otb needs target")
+    kind = _media_type(request, format)
     packed = session.trajectory.after(after)
     if format == "json":
-        whole = _msgpack if accepted == MSGPACK else _json
-        return StreamingResponse(_parts(whole(session, packed, target)), media_type=accepted)
-    lines = _chunks(_LINES[format](unpacked(packed), target))
-    media_type = "text/csv" if format == "csv" else "text/plain"
-    return StreamingResponse(_parts(lines), media_type=media_type)
+        whole = _msgpack if kind == MSGPACK else _json
+        return StreamingResponse(_parts(whole(session, packed, target)), media_type=kind)
+    return StreamingResponse(_parts(_chunks(_LINES[format](unpacked(packed), target))), media_type=kind)
+
+
+def _media_type(request: Request, format: Format) -> str:
+    """The media type of the answer. Raises not-acceptable."""
+    if format == "json":
+        return chosen_type(request, JSON, MSGPACK)
+    kind = "text/csv" if format == "csv" else "text/plain"
+    # Clients that ask for JSON in every call mean the format that they name here.
+    chosen_type(request, kind, JSON, MSGPACK)
+    return kind
 
 
 async def _parts(parts: Iterator[bytes]) -> AsyncIterator[bytes]:

@@ -12,7 +12,7 @@ from pathlib import Path
 from mfcmt_core.cli import UsageError
 
 from ..client import ClientError
-from ..load.chaos import RESTARTS, Plan, Report, chaos
+from ..load.chaos import IDLE_S, RESTARTS, Plan, Report, chaos
 from ..load.clips import open_clip
 from ..load.own import ServerFailed
 
@@ -69,6 +69,8 @@ def _told(report: Report, clip: str) -> Iterable[str]:
             f"{f'{kind} to {what}':<24}median {statistics.median(seconds) * 1e3:6.0f} ms, max "
             f"{max(seconds) * 1e3:6.0f} ms, of {len(seconds)} streams hit"
         )
+    if report.age_s:
+        yield f"idle time          {IDLE_S:g} s; every session was {report.age_s:.0f} s old at the first restart"
     if report.forgotten:
         yield f"forgotten by kill -9    at most {max(report.forgotten)} frames of learning"
 

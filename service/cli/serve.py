@@ -13,6 +13,8 @@ from mfcmt_core.cli import UsageError
 
 from ..settings import Settings
 
+# The exit code when sessions are lost or older because their directory could not be written.
+NOT_WRITTEN = 3
 FLAGS = ("host", "port", "lanes", "log_format", "log_level")
 
 
@@ -53,6 +55,10 @@ def run(args: argparse.Namespace) -> int:
         # uvicorn has logged why: an address in use, a part that did not start.
         print("mfcmt serve: could not start", file=sys.stderr)
         return int(failed.code or 1)
+    if not app.state.service.book.keeper.all_written:
+        told = "sessions could not be written when the service stopped; the next start has an older state of them"
+        print(f"mfcmt serve: {told}. Make room in {settings.state_dir}", file=sys.stderr)
+        return NOT_WRITTEN
     return 0
 
 

@@ -26,6 +26,8 @@ LANE_FAULTS = ("SIGKILL", "SIGSTOP", "memory")
 RESTARTS = ("SIGTERM", "kill -9")
 # Between two faults, from the moment all streams go on.
 PAUSE_S = (0.5, 2.5)
+# Idle time of the sessions: all are older when the service is first restarted, and yet in use.
+IDLE_S = 10.0
 # How long a stream may be without a result before the run is given up.
 PATIENCE_S = 60.0
 DEADLINE_S = 2.0
@@ -102,6 +104,8 @@ class Report:
     compared: int
     differ: int
     forgotten: list[int]
+    age_s: float
+    """Of the youngest session when the service was first restarted; 0 if it was not."""
 
     @property
     def flawless(self) -> bool:
@@ -135,11 +139,16 @@ class _Run:
         self._seconds: dict[str, list[float]] = {kind: [] for kind in (*LANE_FAULTS, *RESTARTS)}
         self._faults: Counter[str] = Counter()
         self._over = False
+        self._created = 0.0
+        self._age_s = 0.0
 
     async def run(self) -> Report:
         async with AsyncExitStack() as stack:
             client = await stack.enter_async_context(AsyncClient(self._server.url))
-            sessions = [await client.create(self._clip.frame(0), self._clip.box) for _ in self._streams]
+            sessions = [
+                await client.create(self._clip.frame(0), self._clip.box, idle_timeout_s=IDLE_S) for _ in self._streams
+            ]
+            self._created = time.monotonic()
             driving = [
                 asyncio.create_task(self._drive(session, stream))
                 for session, stream in zip(sessions, self._streams, strict=True)
@@ -167,6 +176,8 @@ class _Run:
             # All kinds in turn, each time in another order.
             kinds = random.Random(f"{self._plan.seed} {number // len(LANE_FAULTS)}").sample(LANE_FAULTS, 3)  # noqa: S311
             await self._fault(kinds[number % len(LANE_FAULTS)])
+        if self._plan.restarts:
+            await self._outlive_idle_time()
         for _ in range(self._plan.restarts):
             await self._pause()
             await self._restart("SIGTERM", signal.SIGTERM)
@@ -207,6 +218,10 @@ class _Run:
         await asyncio.to_thread(self._server.start)
         await self._until_all_go_on(gone)
         self._count(kind, begun, "the service", self._streams, gone)
+
+    async def _outlive_idle_time(self) -> None:
+        await asyncio.sleep(max(0.0, self._created + IDLE_S + 1 - time.monotonic()))
+        self._age_s = time.monotonic() - self._created
 
     async def _pause(self) -> None:
         await asyncio.sleep(self._random.uniform(*PAUSE_S))
@@ -265,4 +280,5 @@ class _Run:
             len(compared),
             sum(said != wanted for said, wanted in compared),
             [count for stream in self._streams for count in stream.forgotten],
+            self._age_s,
         )

@@ -102,7 +102,7 @@ class Mutator:
         length = chance.choice(
             ("", "Content-Length: 3\r\n", "Transfer-Encoding: chunked\r\n", "Upgrade: websocket\r\n")
         )
-        text = f"{chance.choice(METHODS)} {path} HTTP/1.1\r\nHost: a\r\nConnection: close\r\n{length}\r\n{{}}\n"
+        text = f"{chance.choice(METHODS)} {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n{length}\r\n{{}}\n"
         return self.damaged(text.encode())
 
 

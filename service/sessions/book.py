@@ -8,7 +8,7 @@ import secrets
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 
 import structlog
@@ -68,7 +68,7 @@ class SessionBook:
         if self._overdue(session):
             self._end(session, self._overdue(session))
             return self.find(owner, sid)
-        session.touched = self._clock()
+        session.touch()
         return session
 
     def owned(self, owner: str, after: int, limit: int) -> tuple[list[Session], int | None]:
@@ -97,9 +97,8 @@ class SessionBook:
             session = self._open(owner, Options("default", "reject", None, False, self._settings.idle_timeout_s))
             with self._undone_on_error(session):
                 told = await session.resume(snapshot)
-                session.options = Options(
-                    told["preset"], told["on_resize"], told["label"], told["maps"], told["idle_timeout_s"]
-                )
+                idle_s = self._longest_idle(told["idle_timeout_s"])
+                session.options = Options(told["preset"], told["on_resize"], told["label"], told["maps"], idle_s)
                 self.keeper.safe(session)
             return session.id
 
@@ -126,15 +125,17 @@ class SessionBook:
 
     async def load(self) -> None:
         """Take up the sessions that another process has left. Raises BadState."""
-        await asyncio.to_thread(self.keeper.open)
+        await asyncio.to_thread(self.keeper.begin)
         saved, damaged = self.keeper.take()
         for one in saved:
-            session = self._session(one.id, one.owner, options_of(one), created_at_of(one))
+            options = options_of(one)
+            options = replace(options, idle_timeout_s=self._longest_idle(options.idle_timeout_s))
+            session = self._session(one.id, one.owner, options, created_at_of(one))
             self.keeper.fill(session, one)
             self._sessions[one.id] = session
             session.revive()
         for sid, owner in damaged:
-            self._tombstones.put(sid, Tombstone(owner, "lost", "what was saved of it is damaged"))
+            self._tombstones.put(owner, sid, Tombstone(owner, "lost", "what was saved of it is damaged"))
         if saved or damaged:
             whole = sum(one.whole for one in saved)
             log.info("sessions taken up", sessions=len(saved), whole=whole, damaged=len(damaged))
@@ -185,16 +186,20 @@ class SessionBook:
 
     async def follow_lanes(self) -> None:
         """Restore the sessions of lanes that die, for as long as the service runs."""
+        self._revive_lost()
         async for event in self._lanes.events():
             if isinstance(event, KeysLost):
                 self._metrics.lane_restarts.labels(cause=event.cause).inc()
                 log.error("lane lost", lane=event.lane, cause=event.cause, sessions=len(event.keys))
             else:
                 log.info("lane ready", lane=event.lane, confined=event.confined)
-            # Also those that gave up waiting for a lane.
-            for session in self._sessions.values():
-                if not session.lane.held:
-                    session.revive()
+            self._revive_lost()
+
+    def _revive_lost(self) -> None:
+        """Restore the sessions that no lane has, those too that gave up waiting for one."""
+        for session in self._sessions.values():
+            if not session.lane.held:
+                session.revive()
 
     def _open(self, owner: str, options: Options) -> Session:
         """A place in a lane, taken at once or not at all, and a session around it."""
@@ -228,6 +233,7 @@ class SessionBook:
             created=self._clock() - max(0.0, (datetime.now(UTC) - created_at).total_seconds()),
             created_at=created_at,
             max_trajectory_bytes=self._settings.max_trajectory_bytes,
+            clock=self._clock,
         )
 
     @contextlib.contextmanager
@@ -243,7 +249,7 @@ class SessionBook:
             raise
         finally:
             self._opening -= Counter((session.owner,))
-        session.touched = self._clock()
+        session.touch()
         self._sessions[session.id] = session
         self._metrics.sessions_created.labels(preset=session.options.preset).inc()
 
@@ -275,14 +281,18 @@ class SessionBook:
         now = self._clock()
         if now > session.created + self._settings.max_session_s:
             return "expired"
-        return "idle" if now > self._idle_deadline(session) else ""
+        return "idle" if now > self._idle_deadline(session) and not session.busy else ""
+
+    def _longest_idle(self, seconds: float) -> float:
+        """The idle time that a session may have here, whatever another service or an earlier setting gave it."""
+        return min(seconds, self._settings.max_idle_timeout_s)
 
     def _end(self, session: Session, reason: str, detail: str = "") -> None:
         session.ended = reason
         self._sessions.pop(session.id, None)
         self._lanes.release(session.id)
         self.keeper.forget(session)
-        self._tombstones.put(session.id, Tombstone(session.owner, reason, detail))
+        self._tombstones.put(session.owner, session.id, Tombstone(session.owner, reason, detail))
         self._metrics.sessions_closed.labels(reason=reason).inc()
         log.info("session ended", session=session.id, reason=reason, detail=detail, seq=session.seq)
         if session.attachment is not None:

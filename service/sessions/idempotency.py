@@ -20,7 +20,7 @@ class Creation:
 
 
 class Creations:
-    """At most ``most`` keys are remembered, each for ``seconds``."""
+    """At most ``most`` keys of each owner are remembered, each for ``seconds``."""
 
     def __init__(self, most: int, seconds: float, clock: Callable[[], float]) -> None:
         self._known: Memory[Creation] = Memory(most, seconds, clock)
@@ -42,7 +42,7 @@ class Creations:
                 raise ProblemError("bad-request", "the Idempotency-Key was used with another body")
             return await asyncio.shield(known.session)
         future: asyncio.Future[str] = asyncio.get_running_loop().create_future()
-        self._known.put(name, Creation(fingerprint, future))
+        self._known.put(owner, name, Creation(fingerprint, future))
         try:
             made = await make()
         except BaseException as failed:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Iterable
 from datetime import datetime
 from pathlib import Path
@@ -29,6 +30,8 @@ class Keeper:
         self._settings, self._lanes, self._metrics = settings, lanes, metrics
         self._turns = Turns()
         self._vault = Vault(Path(settings.state_dir), metrics) if settings.state_dir else None
+        self.all_written = True
+        """False once sessions could not be written when the service stopped."""
 
     @property
     def durable(self) -> bool:
@@ -43,6 +46,11 @@ class Keeper:
         """Open the state directory, where there is one. Raises BadState."""
         if self._vault is not None:
             self._vault.open()
+
+    def begin(self) -> None:
+        """Take over what the state directory holds, where there is one; opens it too. Raises BadState."""
+        if self._vault is not None:
+            self._vault.begin()
 
     def take(self) -> tuple[list[Saved], list[tuple[str, str]]]:
         """What another process has left: sessions, and ids and owners of damaged ones; once."""
@@ -64,7 +72,7 @@ class Keeper:
             "rows": session.rows,
         }
         trajectory = session.trajectory
-        entries = trajectory.newest(session.saved_to)
+        entries = deque(trajectory.newest(session.saved_to))
         session.saved_to = session.seq
         self._vault.save(Saved(session.id, session.owner, front, base, entries, trajectory.first_seq, whole))
 
@@ -91,10 +99,10 @@ class Keeper:
             return
         sessions = list(sessions)
         results = await asyncio.gather(*(self._park(session) for session in sessions))
-        written = await asyncio.to_thread(self._vault.flush, self._settings.operation_deadline_s)
-        await asyncio.to_thread(self._vault.close)
-        told = log.info if written and all(results) else log.error
-        told("sessions parked", sessions=len(sessions), whole=sum(results), written=written)
+        await asyncio.to_thread(self._vault.flush, self._settings.operation_deadline_s)
+        self.all_written = await asyncio.to_thread(self._vault.close)
+        told = log.info if self.all_written and all(results) else log.error
+        told("sessions parked", sessions=len(sessions), whole=sum(results), written=self.all_written)
 
     async def _park(self, session: Session) -> bool:
         try:
@@ -102,7 +110,8 @@ class Keeper:
                 await session.park()
         except (ProblemError, TimeoutError):
             return False  # it will go on from its last checkpoint
-        self.safe(session, whole=True)
+        # What was lost before stays lost until its client has been told and a frame is tracked.
+        self.safe(session, whole=session.lost_after is None)
         return True
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
-from contextlib import suppress
+from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Protocol, TypeVar
@@ -89,10 +89,12 @@ class Session:
         created: float,
         created_at: datetime,
         max_trajectory_bytes: int,
+        clock: Callable[[], float],
     ) -> None:
         self.id, self.owner, self.options = sid, owner, options
         self.ordinal, self.created, self.created_at = ordinal, created, created_at
-        self.touched = created
+        # Not since it was made: that may have been before a restart, and time spent down is not idle time.
+        self.touched = clock()
         self.ended: str | None = None
         self.attachment: Attachment | None = None
         self.size: list[int] = [0, 0]
@@ -108,7 +110,28 @@ class Session:
         self._on_safe, self._on_poison = on_safe, on_poison
         self._turn = asyncio.Lock()
         self._tasks: set[asyncio.Task[None]] = set()
-        self._reviving = False
+        self._clock = clock
+        self._calls = 0
+        self._reviving = self._restoring = False
+
+    @property
+    def busy(self) -> bool:
+        """Whether a frame or call is being received or in work, or the state is being restored."""
+        return self._calls > 0 or self._turn.locked()
+
+    @contextmanager
+    def in_use(self) -> Iterator[None]:
+        """Keep the session from ending as idle meanwhile: a body may be long in coming."""
+        self._calls += 1
+        try:
+            yield
+        finally:
+            self._calls -= 1
+            self.touch()
+
+    def touch(self) -> None:
+        """Count the session as used now; its idle time starts again."""
+        self.touched = self._clock()
 
     def number(self, seq: int | None) -> int:
         """The number of a frame message, the client's own or the next. Raises stale-frame."""
@@ -205,6 +228,8 @@ class Session:
 
     async def park(self) -> None:
         """Finish what is in work and keep the state as it is then. Raises as every operation."""
+        if self._restoring and not self.lane.journal.since:
+            return  # nothing has happened since the state was kept, and a lane may be long in coming
         async with self._turn:
             if self.lane.journal.since and not self.ended:
                 await self._guarded(self.lane.checkpoint("stop"))
@@ -242,11 +267,13 @@ class Session:
         try:
             async with self._turn:
                 if not self.ended and not self.lane.held:
+                    self._restoring = True
                     await self._guarded(self.lane.recover())
         except ProblemError as refused:
             log.warning("session not restored", session=self.id, code=refused.code)
         finally:
-            self._reviving = False
+            self._reviving = self._restoring = False
+            self.touch()
 
     async def _keep(self, reason: str) -> None:
         await self._guarded(self.lane.checkpoint(reason))
@@ -255,7 +282,10 @@ class Session:
     async def _call(self, op: str, args: Mapping[str, Any], data: bytes = b"", *, changes: bool = False) -> Any:
         if self.ended:
             raise session_gone(self.ended)
-        code, value = await self._guarded(self.lane.call(Operation(op, args, data), changes=changes))
+        try:
+            code, value = await self._guarded(self.lane.call(Operation(op, args, data), changes=changes))
+        finally:
+            self.touch()
         if changes and self.lane.due and not self._tasks:
             self._later(self._checkpoint())
         if code == "internal":

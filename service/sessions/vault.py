@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sqlite3
 import threading
 import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,8 +23,20 @@ from .journal import Operation
 
 FILE = "sessions.sqlite3"
 VERSION = 1
+# Marks a file in which nothing that was deleted can be read: earlier versions left remains in free pages.
+ERASED = 0x4D464354
 LOCK_TIMEOUT_S = 5.0
 RETRY_S = 1.0
+TELL_EVERY_S = 60.0
+MOST_AT_ONCE = 1 << 28
+# What is deleted is overwritten, large values too: FAST would leave them in free pages. No other file has any of it.
+PRAGMAS = (
+    "locking_mode=EXCLUSIVE",
+    "journal_mode=WAL",
+    "synchronous=NORMAL",
+    "secure_delete=ON",
+    "temp_store=MEMORY",
+)
 SCHEMA = """
 CREATE TABLE session (id TEXT PRIMARY KEY, owner TEXT NOT NULL, front BLOB NOT NULL, op TEXT NOT NULL,
     args BLOB NOT NULL, data BLOB NOT NULL, checksum INTEGER NOT NULL, whole INTEGER NOT NULL);
@@ -39,26 +55,30 @@ class BadState(Exception):
 class Saved:
     """A session as it is kept: what the front knows of it, plain; the operation that makes its state.
 
-    ``entries`` are those of the trajectory since it was saved before, the newest one then among them; those
-    before ``first_seq`` are gone. ``whole``: nothing has happened since.
+    ``entries`` are those of the trajectory since it was saved before, by rising number, the newest one then among
+    them; those before ``first_seq`` are gone. ``whole``: nothing has happened since.
     """
 
     id: str
     owner: str
     front: dict[str, Any]
     base: Operation
-    entries: list[tuple[int, bytes]]
+    entries: deque[tuple[int, bytes]]
     first_seq: int
     whole: bool
 
 
 class Vault:
-    """Only :meth:`open`, :meth:`flush` and :meth:`close` wait for the disk."""
+    """Only :meth:`open`, :meth:`begin`, :meth:`flush` and :meth:`close` wait for the disk."""
 
     def __init__(self, folder: Path, metrics: Metrics) -> None:
         self._folder, self._metrics = folder, metrics
+        # What is to be written, what is being written, and the sessions that the file has; None: to be removed.
         self._waiting: dict[str, Saved | None] = {}
-        self._writing = self._closing = False
+        self._batch: dict[str, Saved | None] = {}
+        self._stored: set[str] = set()
+        self._remains = self._closing = False
+        self._told_at: float | None = None
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._run, name="mfcmt-vault", daemon=True)
         self._db: sqlite3.Connection | None = None
@@ -73,7 +93,22 @@ class Vault:
             self._db = self._connect()
             self._read(self._db)
         except (OSError, sqlite3.Error) as broken:
-            raise BadState(f"the state in {self._folder} cannot be used ({broken}): {_hint(broken)}") from broken
+            raise self._bad(broken) from broken
+
+    def begin(self) -> None:
+        """Take the sessions over: from now on only :meth:`save` says that one is whole. Raises BadState."""
+        self.open()
+        db = self._db
+        assert db is not None
+        try:
+            with _transaction(db):
+                db.execute("UPDATE session SET whole = 0")
+                for sid, _ in self._damaged:
+                    _remove(db, sid)
+            _empty_log(db)
+            self._stored.difference_update(sid for sid, _ in self._damaged)
+        except sqlite3.Error as broken:
+            raise self._bad(broken) from broken
         self._thread.start()
 
     def take(self) -> tuple[list[Saved], list[tuple[str, str]]]:
@@ -87,23 +122,26 @@ class Vault:
         with self._changed:
             before = self._waiting.get(saved.id)
             if before is not None:
-                saved.entries = before.entries + saved.entries
+                saved.entries = _joined(before.entries, saved)
             self._waiting[saved.id] = saved
             self._changed.notify_all()
 
     def forget(self, sid: str) -> None:
-        """Have a session removed."""
+        """Have a session removed, if the file has it or is about to."""
         with self._changed:
-            self._waiting[sid] = None
-            self._changed.notify_all()
+            if sid in self._stored or sid in self._batch:
+                self._waiting[sid] = None
+                self._changed.notify_all()
+            else:
+                self._waiting.pop(sid, None)
 
     def flush(self, timeout_s: float) -> bool:
-        """Wait until everything is written; whether it is."""
+        """Wait until everything is written, and everything removed is erased; whether it is."""
         with self._changed:
-            return self._changed.wait_for(lambda: not self._waiting and not self._writing, timeout_s)
+            return self._changed.wait_for(lambda: not (self._waiting or self._batch or self._remains), timeout_s)
 
-    def close(self) -> None:
-        """Write what waits, if that can be done at once, and close."""
+    def close(self) -> bool:
+        """Write what waits, if that can be done at once, and close; whether everything is written."""
         with self._changed:
             self._closing = True
             self._changed.notify_all()
@@ -111,6 +149,7 @@ class Vault:
             self._thread.join()
         if self._db is not None:
             self._db.close()
+        return not self._waiting
 
     def _connect(self) -> sqlite3.Connection:
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -121,21 +160,25 @@ class Vault:
         os.close(os.open(path, os.O_CREAT | os.O_RDWR, 0o600))
         path.chmod(0o600)
         db = sqlite3.connect(path, timeout=LOCK_TIMEOUT_S, isolation_level=None, check_same_thread=False)
-        for pragma in ("locking_mode=EXCLUSIVE", "journal_mode=WAL", "synchronous=NORMAL", "secure_delete=FAST"):
+        for pragma in PRAGMAS:
             db.execute(f"PRAGMA {pragma}")
         db.execute("BEGIN EXCLUSIVE")
         version = db.execute("PRAGMA user_version").fetchone()[0]
+        if version not in (0, VERSION):
+            raise sqlite3.DatabaseError(f"version {version} is not read here")
         if version == 0:
             for statement in SCHEMA.split(";"):
                 db.execute(statement)
-            db.execute(f"PRAGMA user_version={VERSION}")
+        # Written in any case: whether there is room shows here, and not under the first stream.
+        db.execute(f"PRAGMA user_version={VERSION}")
         db.execute("COMMIT")
-        if version not in (0, VERSION):
-            raise sqlite3.DatabaseError(f"version {version} is not read here")
+        _erase_remains(db)
+        _empty_log(db)
         return db
 
     def _read(self, db: sqlite3.Connection) -> None:
         for sid, owner, front, op, args, data, checksum, whole in db.execute("SELECT * FROM session ORDER BY rowid"):
+            self._stored.add(sid)
             if _checksum(front, args, data) != checksum:
                 log.error("saved session is damaged", session=sid)
                 self._damaged.append((sid, owner))
@@ -143,68 +186,135 @@ class Vault:
             known = msgpack.unpackb(front)
             entries = db.execute(
                 "SELECT seq, entry FROM trajectory WHERE session = ? AND seq <= ? ORDER BY seq", (sid, known["seq"])
-            ).fetchall()
+            )
             base = Operation(op, msgpack.unpackb(args), data)
-            self._found.append(Saved(sid, owner, known, base, entries, 0, bool(whole)))
-        db.execute("BEGIN")
-        db.execute("UPDATE session SET whole = 0")
-        for sid, _ in self._damaged:
-            _remove(db, sid)
-        db.execute("COMMIT")
+            self._found.append(Saved(sid, owner, known, base, deque(entries), 0, bool(whole)))
+
+    def _bad(self, broken: Exception) -> BadState:
+        return BadState(f"the state in {self._folder} cannot be used ({broken}): {_hint(broken)}")
 
     def _run(self) -> None:
         assert self._db is not None
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._waiting or self._closing)
-                if not self._waiting:
-                    return
-                batch, self._waiting, self._writing = self._waiting, {}, True
-            started = time.monotonic()
+        while self._next():
+            started, last = time.monotonic(), self._closing
             try:
-                _write(self._db, batch)
-                self._metrics.state_write_seconds.observe(time.monotonic() - started)
+                if self._batch:
+                    _write(self._db, self._batch)
+                    self._metrics.state_write_seconds.observe(time.monotonic() - started)
+                    self._written()
+                if self._remains:
+                    _empty_log(self._db)
             except sqlite3.Error as failed:
-                self._metrics.state_write_failures.inc()
-                log.error("sessions cannot be written", fault=str(failed), sessions=len(batch))
-                self._put_back(batch)
-            finally:
-                with self._changed:
-                    self._writing = False
-                    self._changed.notify_all()
+                self._failed(failed)
+                if last:
+                    return
+            else:
+                self._succeeded()
 
-    def _put_back(self, batch: dict[str, Saved | None]) -> None:
+    def _next(self) -> bool:
+        """Wait until there is something to do, and take it; False when that is all."""
         with self._changed:
-            newer, self._waiting = self._waiting, batch
-        for sid, saved in newer.items():
-            self.save(saved) if saved is not None else self.forget(sid)
+            self._changed.wait_for(lambda: self._waiting or self._remains or self._closing)
+            self._batch, self._waiting = self._waiting, {}
+            return bool(self._batch or self._remains)
+
+    def _written(self) -> None:
         with self._changed:
-            if self._closing:
-                self._waiting = {}
+            for sid, saved in self._batch.items():
+                if saved is None:
+                    self._stored.discard(sid)
+                    self._remains = True
+                else:
+                    self._stored.add(sid)
+            self._batch = {}
+
+    def _succeeded(self) -> None:
+        with self._changed:
+            self._remains = False
+            self._changed.notify_all()
+        if self._told_at is not None:
+            self._told_at = None
+            log.info("sessions are written again")
+
+    def _failed(self, failed: sqlite3.Error) -> None:
+        """Keep what was not written for the next try, with what has come meanwhile."""
+        self._metrics.state_write_failures.inc()
+        with self._changed:
+            newer, self._waiting, self._batch = self._waiting, self._batch, {}
+            for sid, saved in newer.items():
+                self.save(saved) if saved is not None else self.forget(sid)
+            sessions = len(self._waiting)
+        now = time.monotonic()
+        if self._told_at is None or now - self._told_at >= TELL_EVERY_S:
+            self._told_at = now
+            log.error("sessions cannot be written", fault=str(failed), folder=str(self._folder), sessions=sessions)
+        with self._changed:
             self._changed.wait_for(lambda: self._closing, RETRY_S)
 
 
 def _hint(broken: Exception) -> str:
     if "locked" in str(broken):
         return "another process uses it"
+    if "full" in str(broken) or getattr(broken, "errno", None) == errno.ENOSPC:
+        return "make room on its disk"
     if isinstance(broken, OSError) or "readonly" in str(broken) or "unable to open" in str(broken):
         return "this user must be able to write there"
     return "move it away to start without"
 
 
-def _write(db: sqlite3.Connection, batch: dict[str, Saved | None]) -> None:
+def _empty_log(db: sqlite3.Connection) -> None:
+    """Move all from the write-ahead log into the file and cut the log off, with the deleted pages that it holds."""
+    busy, *_ = db.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+    if busy:
+        raise sqlite3.OperationalError("the write-ahead log cannot be emptied")
+
+
+def _erase_remains(db: sqlite3.Connection) -> None:
+    """Overwrite what an earlier version has left of ended sessions in free pages; once in a file's life."""
+    if db.execute("PRAGMA application_id").fetchone()[0] == ERASED:
+        return
+    free = db.execute("PRAGMA freelist_count").fetchone()[0] * db.execute("PRAGMA page_size").fetchone()[0]
+    try:
+        with _transaction(db):
+            # Takes up all free pages and gives them back, which overwrites them.
+            db.execute("CREATE TABLE remains (bytes BLOB)")
+            for begin in range(0, free, MOST_AT_ONCE):
+                db.execute("INSERT INTO remains VALUES (zeroblob(?))", (min(MOST_AT_ONCE, free - begin),))
+            db.execute("DROP TABLE remains")
+            db.execute(f"PRAGMA application_id={ERASED}")
+    except sqlite3.Error as failed:
+        log.warning("remains of ended sessions are not erased; the next start tries again", fault=str(failed))
+
+
+@contextmanager
+def _transaction(db: sqlite3.Connection) -> Iterator[None]:
     db.execute("BEGIN")
     try:
-        for sid, saved in batch.items():
-            if saved is None:
-                _remove(db, sid)
-            else:
-                _put(db, saved)
+        yield
         db.execute("COMMIT")
     except BaseException:
         if db.in_transaction:
             db.execute("ROLLBACK")
         raise
+
+
+def _joined(older: deque[tuple[int, bytes]], newer: Saved) -> deque[tuple[int, bytes]]:
+    """``older`` entries and those of ``newer``, which replace entries of the same number."""
+    while older and older[0][0] < newer.first_seq:
+        older.popleft()
+    while older and newer.entries and older[-1][0] >= newer.entries[0][0]:
+        older.pop()
+    older.extend(newer.entries)
+    return older
+
+
+def _write(db: sqlite3.Connection, batch: dict[str, Saved | None]) -> None:
+    with _transaction(db):
+        for sid, saved in batch.items():
+            if saved is None:
+                _remove(db, sid)
+            else:
+                _put(db, saved)
 
 
 def _put(db: sqlite3.Connection, saved: Saved) -> None:

@@ -92,7 +92,7 @@ class StreamAttachment:
             self._metrics.streams.dec()
             if self._session.attachment is self:
                 self._session.attachment = None
-                self._session.touched = time.monotonic()
+                self._session.touch()
             self._halt()
             asyncio.get_running_loop().call_later(LINGER_S, self._abort)
             if self._pump_task is not None:
@@ -195,7 +195,7 @@ class StreamAttachment:
                 raise ProblemError("unsupported-image", "not a JPEG, PNG or WebP image")
             queued = time.monotonic()
             self._flow.put_frame(Frame(message.data, seq, meta.ts, meta.region, arrived, queued), controls)
-            session.touched = queued
+            session.touch()
         except ProblemError as problem:
             self._flow.refused(controls)
             for refusal in self._refusals(problem, seq, controls):
@@ -206,7 +206,7 @@ class StreamAttachment:
         try:
             self._spend(now)
             self._flow.put_control(control)
-            self._session.touched = now
+            self._session.touch()
         except ProblemError as problem:
             await self._refuse(problem, ref=control.ref)
 

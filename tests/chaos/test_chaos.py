@@ -9,7 +9,7 @@ import pytest
 
 from mfcmt_core.cli import main
 from service.cli.chaos import _told
-from service.load.chaos import LANE_FAULTS, RESTARTS, Plan, Report, chaos
+from service.load.chaos import IDLE_S, LANE_FAULTS, RESTARTS, Plan, Report, chaos
 from service.load.clips import Clip
 
 
@@ -24,19 +24,21 @@ def test_nothing_is_lost_and_nothing_differs(clip: Clip) -> None:
     assert report.compared > 100
     assert (report.lost, report.refused, report.differ) == (0, {}, 0)
     assert report.flawless
+    assert report.age_s > IDLE_S
     assert len(report.forgotten) <= 10
     assert all(0 <= count <= 60 for count in report.forgotten)
 
 
 def test_what_the_command_says() -> None:
     seconds = {"SIGKILL": [0.12, 0.2], "SIGTERM": [3.0]}
-    report = Report(Plan(10, 30, 2, 2, 1, 1), {"SIGKILL": 2, "SIGTERM": 1}, seconds, 500, 0, {}, 400, 0, [12])
+    report = Report(Plan(10, 30, 2, 2, 1, 1), {"SIGKILL": 2, "SIGTERM": 1}, seconds, 500, 0, {}, 400, 0, [12], 11.2)
     told = "\n".join(_told(report, "sample"))
     assert "results lost       0 of 500" in told
     assert "boxes that differ  0 of 400" in told
     assert "SIGKILL to next result  median    160 ms, max    200 ms" in told
     assert "SIGTERM to resumed" in told
     assert "at most 12 frames" in told
+    assert "every session was 11 s old at the first restart" in told
     assert json.loads(json.dumps(report.as_dict()))["lost"] == 0
     assert not replace(report, differ=1).flawless
     assert "1 refused with at-capacity" in "\n".join(_told(replace(report, refused={"at-capacity": 1}), "sample"))

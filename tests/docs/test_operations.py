@@ -36,7 +36,15 @@ def test_labels_take_their_values_from_closed_sets() -> None:
 
 
 def test_every_problem_that_an_operator_causes_is_explained() -> None:
-    for code in ("at-capacity", "rate-limited", "draining", "deadline-exceeded", "internal", "origin-refused"):
+    for code in (
+        "at-capacity",
+        "rate-limited",
+        "draining",
+        "deadline-exceeded",
+        "internal",
+        "origin-refused",
+        "host-refused",
+    ):
         assert code in CATALOGUE
         assert f"`{code}`" in TEXT
 

@@ -119,7 +119,8 @@ export type Pixels =
 export type Source = Encoded | Pixels;
 
 export type ProblemCode =
-  | "bad-request" | "unauthenticated" | "origin-refused" | "not-found" | "method-not-allowed" | "not-acceptable"
+  | "bad-request" | "unauthenticated" | "origin-refused" | "host-refused" | "not-found" | "method-not-allowed"
+  | "not-acceptable"
   | "unsupported-media-type" | "session-not-found" | "target-not-found" | "attached-elsewhere" | "stale-frame"
   | "full-frame-needed" | "session-gone" | "frame-too-large" | "body-too-large" | "unsupported-image"
   | "frame-undecodable" | "frame-size-changed" | "bad-box" | "bad-region" | "bad-snapshot" | "too-many-targets"

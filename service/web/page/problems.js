@@ -14,6 +14,7 @@ const WORDS = {
   draining: ["The server is going away", "It is being restarted. Try again in a moment.", "again"],
   unauthenticated: ["A key is needed", "This server asks for an API key.", "key"],
   "origin-refused": ["This address is not allowed", "The server does not take calls from pages of this address."],
+  "host-refused": ["This name is not the server's", "Without a key it answers to its IP address, localhost and names in its settings alone."],
   "session-not-found": ["The session is gone", "The server does not know it any more; it may have been restarted.", "restart"],
   "session-gone": ["The session expired", "The server ended it.", "restart"],
   "attached-elsewhere": ["The session was taken over", "Another page follows it now.", "restart"],

@@ -133,7 +133,7 @@ def _handshake(server: OwnServer, session_id: str) -> socket.socket:
     plain = socket.create_connection(("127.0.0.1", server.port))
     plain.settimeout(20)
     plain.sendall(
-        f"GET /v1/sessions/{session_id}/stream?mode=lossless HTTP/1.1\r\nHost: x\r\nConnection: Upgrade\r\n"
+        f"GET /v1/sessions/{session_id}/stream?mode=lossless HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\n"
         f"Upgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
         f"Sec-WebSocket-Protocol: {MSGPACK}\r\n\r\n".encode()
     )

@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import os
+import resource
 import signal
 import sqlite3
 import stat
+import time
 from collections.abc import AsyncIterator
 from contextlib import closing
+from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
+import msgpack
 import pytest
 
+from service.cli.serve import NOT_WRITTEN
 from service.client import AsyncClient, ConnectionLost, Frame, Problem, Result, Resumed
 from service.load.clips import Clip
 from service.load.own import OwnServer, ServerFailed
 from service.load.usage import server_processes
+from tests.service.unit.test_vault import Before, as_before, remains
 
 from .conftest import Serve, watch
 from .test_main_job import assert_same, in_process
@@ -193,3 +200,101 @@ async def test_the_second_sigterm_stops_at_once_and_keeps_what_is_saved(
         await asyncio.to_thread(server.start)
         assert (await session.refresh()).seq == 0
         await session.track(clip.frames[1])
+
+
+async def test_sessions_older_than_their_idle_time_go_on(own_server: Serve, clip: Clip, state: Path) -> None:
+    """A stream of some minutes has one, and most streams do: through SIGTERM, kill -9 and another SIGTERM."""
+    idle_s = 8.0
+    server = own_server(state_dir=state, idle_timeout_s=idle_s, checkpoint_every_frames=5)
+    async with AsyncClient(server.url) as client:
+        session = await client.create(clip.frames[0], clip.box)
+        begun = time.monotonic()
+        got: list[Result] = []
+        collecting = asyncio.create_task(_into(got, session.stream(paced(clip, 10_000, fps=5.0), mode="lossless")))
+        for how in (signal.SIGTERM, signal.SIGKILL, signal.SIGTERM):
+            while time.monotonic() < begun + idle_s + 1 or not got:
+                await asyncio.sleep(0.1)
+            await kill(server, how)
+            await asyncio.to_thread(server.start)
+            await _another(got)
+        collecting.cancel()
+        assert [result.ts for result in got] == list(range(1, len(got) + 1))
+
+
+async def _into(got: list[Result], stream: AsyncIterator[Result]) -> None:
+    while True:
+        got.append(await anext(stream))
+
+
+async def _another(got: list[Result]) -> None:
+    had = len(got)
+    async with asyncio.timeout(60):
+        while len(got) == had:
+            await asyncio.sleep(0.05)
+
+
+async def test_state_of_the_version_before_is_taken_up(own_server: Serve, clip: Clip, state: Path) -> None:
+    """A file with remains of ended sessions, from before they were erased; box for box as a session made now."""
+    sid, box = "HoozkC9XeBJ2fHyJqnOOqIkP", [float(value) for value in clip.box]
+    front = {
+        "options": ["default", "reject", "kept", False, 300.0],
+        "created_at": datetime.now(UTC).isoformat(),
+        "seq": 0,
+        "last_number": 0,
+        "size": list(clip.size),
+        "region": [0, 0, *clip.size],
+        "rows": [[0, box, "tracking", None, None, None, None, True, 1.0]],
+    }
+    args = {"options": {"preset": "default", "on_resize": "reject", "maps": False}, "boxes": [box]}
+    past = msgpack.packb([None, front["size"], front["region"], front["rows"]])
+    kept = Before(sid, "anyone", front, "create", args, clip.frames[0], past)
+    as_before(state, [kept], [replace(kept, id=f"e{n}", data=frame) for n, frame in enumerate(clip.frames[1:9])])
+    assert remains(state, clip.frames[1:9]) > 0
+    server = own_server(state_dir=state)
+    async with AsyncClient(server.url) as client:
+        session = await client.session(sid)
+        assert (session.info.label, session.info.seq) == ("kept", 0)
+        twin = await client.create(clip.frames[0], clip.box)
+        for frame in clip.frames[1:4]:
+            assert (await session.track(frame)).target == (await twin.track(frame)).target
+        assert [result.seq for result in await session.trajectory()] == [0, 1, 2, 3]
+        assert remains(state, clip.frames[4:9]) == 0
+
+
+async def test_ended_sessions_leave_no_frame_on_disk(own_server: Serve, clip: Clip, state: Path) -> None:
+    server = own_server(state_dir=state, checkpoint_every_frames=3)
+    async with AsyncClient(server.url) as client:
+        sessions = [await client.create(clip.frames[0], clip.box) for _ in range(3)]
+        sent = clip.frames[:30]
+        for start, session in enumerate(sessions):
+            for frame in sent[1 + start :: 3]:
+                await session.track(frame)
+        await asyncio.sleep(0.5)
+        assert remains(state, sent) > 0
+        for session in sessions:
+            await session.close()
+        async with asyncio.timeout(60):
+            while remains(state, sent):
+                await asyncio.sleep(0.2)
+    server.stop()
+    assert remains(state, sent) == 0
+
+
+async def test_a_full_disk_ends_the_service_with_a_code_and_a_line(own_server: Serve, clip: Clip, state: Path) -> None:
+    """Frames are tracked all the same; the log says it once, and the exit code that something is missing."""
+    server = own_server(state_dir=state, checkpoint_every_frames=3, operation_deadline_s=1)
+    async with AsyncClient(server.url) as client:
+        session = await client.create(clip.frames[0], clip.box)
+        _, most = resource.prlimit(server.pid, resource.RLIMIT_FSIZE)
+        resource.prlimit(server.pid, resource.RLIMIT_FSIZE, (1 << 18, most))
+        for frame in clip.frames[1:20]:
+            await session.track(frame)
+        async with asyncio.timeout(60):
+            while "sessions cannot be written" not in server.log:
+                await asyncio.sleep(0.05)
+        await kill(server, signal.SIGTERM)
+    assert server.exit_code == NOT_WRITTEN
+    assert server.log.count('"event": "sessions cannot be written"') == 1
+    assert "mfcmt serve: sessions could not be written" in server.log
+    assert "Traceback" not in server.log
+    await asyncio.to_thread(server.start)

@@ -290,3 +290,75 @@ async def test_a_key_that_is_remembered_keeps_no_session() -> None:
     assert gone() is None
     with pytest.raises(ProblemError, match="session-gone"):
         await world.create(key="k")
+
+
+class Held(Lanes):
+    """Lanes whose answers wait until they are let go."""
+
+    def __init__(self, places: int) -> None:
+        super().__init__(places)
+        self.open = asyncio.Event()
+
+    async def call(self, key: str, request: Buffers) -> bytes:
+        if decode_call(memoryview(b"".join(request)))[0] == "track":
+            await self.open.wait()
+        return await super().call(key, request)
+
+
+async def test_a_session_does_not_end_idle_while_its_frame_is_in_work() -> None:
+    world = World()
+    world.lanes = Held(2)
+    world.book = SessionBook(world.settings, world.lanes, Metrics(), lambda: world.now)
+    session = await world.create()
+    tracking = asyncio.create_task(session.track(Frame(b"", session.number(None), None, None, 0.0, 0.0)))
+    await asyncio.sleep(0)
+    world.now += 11
+    world.book.sweep()
+    assert world.book.find("me", session.id) is session
+    world.now += 11
+    world.lanes.open.set()
+    assert (await tracking)[0]["seq"] == 1
+    world.now += 9
+    world.book.sweep()
+    assert session.ended is None
+    world.now += 2
+    world.book.sweep()
+    assert session.ended == "idle"
+
+
+async def test_a_session_does_not_end_idle_while_its_frame_is_being_received() -> None:
+    world = World()
+    session = await world.create()
+    with session.in_use():
+        world.now += 11
+        world.book.sweep()
+    world.now += 9
+    world.book.sweep()
+    assert session.ended is None
+    world.now += 2
+    world.book.sweep()
+    assert session.ended == "idle"
+
+
+async def test_a_restored_session_has_no_longer_idle_time_than_is_allowed_here() -> None:
+    world = World(max_idle_timeout_s=60)
+    told = STATE | {"front": {"label": None, "idle_timeout_s": 3600.0}}
+    told |= {"options": {"preset": "default", "on_resize": "reject", "maps": False}}
+
+    async def restored(key: str, request: Buffers) -> bytes:
+        return encode_reply(None, told)
+
+    world.lanes.call = restored  # type: ignore[method-assign]
+    session = await world.book.restore("me", b"snapshot", None)
+    assert session.options.idle_timeout_s == 60
+
+
+async def test_one_tenant_pushes_out_nothing_that_is_remembered_of_another() -> None:
+    world = World(places=5, max_tombstones=2, max_idempotency_keys=2)
+    theirs = await world.create("other", key="k")
+    ended = await world.create("other")
+    world.book.close("other", ended.id)
+    for number in range(5):
+        world.book.close("me", (await world.create(key=f"k{number}")).id)
+    assert gone(world, ended, "other") == ("session-gone", "closed")
+    assert await world.create("other", key="k") is theirs

@@ -42,7 +42,7 @@ def lanes() -> FaultyLanes:
 @pytest.fixture
 async def http(lanes: FaultyLanes) -> AsyncIterator[httpx2.AsyncClient]:
     transport = httpx2.ASGITransport(create_app(Settings(), lanes=lanes))
-    async with httpx2.AsyncClient(transport=transport, base_url="http://service") as client:
+    async with httpx2.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client:
         yield client
 
 
@@ -66,11 +66,11 @@ async def test_a_fault_over_http(http: httpx2.AsyncClient, lanes: FaultyLanes, f
 
 
 def test_a_fault_in_a_stream(lanes: FaultyLanes) -> None:
-    with TestClient(create_app(Settings(), lanes=lanes)) as client:
+    with TestClient(create_app(Settings(), lanes=lanes), base_url="http://127.0.0.1") as client:
         body = {"frame": base64.b64encode(JPEG).decode(), "box": [1, 2, 3, 4]}
         sid = client.post("/v1/sessions", json=body).json()["id"]
         url = f"/v1/sessions/{sid}/stream?mode=lossless"
-        with client.websocket_connect(url, headers={"X-Request-ID": "mine-2"}) as socket:
+        with client.websocket_connect(url, headers={"X-Request-ID": "mine-2", "Host": "127.0.0.1"}) as socket:
             assert json.loads(socket.receive_text())["type"] == "ready"
             lanes.fault = encode_reply("internal", [SECRET, {}])
             socket.send_bytes(JPEG)
@@ -95,7 +95,7 @@ async def test_a_slow_body_has_its_time(lanes: FaultyLanes) -> None:
         yield b"{"
         await asyncio.sleep(10)
 
-    async with httpx2.AsyncClient(transport=transport, base_url="http://service") as client:
+    async with httpx2.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client:
         headers = {"Content-Type": "application/json"}
         response = await client.post("/v1/sessions", content=slowly(), headers=headers)
     assert (response.status_code, response.json()["code"]) == (504, "deadline-exceeded")

@@ -137,18 +137,36 @@ def test_a_bucket_lets_a_burst_through_and_then_the_rate() -> None:
 def test_memories_fade_and_are_bounded() -> None:
     now = 0.0
     memory: Memory[str] = Memory(2, 10, lambda: now)
-    memory.put("a", "A")
-    memory.put("b", "B", seconds=1)
+    memory.put("me", "a", "A")
+    memory.put("me", "b", "B", seconds=1)
     now = 5.0
     assert (memory.get("a"), memory.get("b")) == ("A", None)
-    memory.put("c", "C")
-    memory.put("d", "D")
+    memory.put("me", "c", "C")
+    memory.put("me", "d", "D")
     assert (memory.get("a"), len(memory)) == (None, 2)
     assert memory.pop("c") == "C"
     assert memory.pop("c") is None
     now = 20.0
     memory.sweep()
     assert len(memory) == 0
+
+
+@given(st.lists(st.tuples(st.sampled_from("abc"), st.integers(0, 9), st.sampled_from((None, 1.0, 7.0))), max_size=60))
+def test_nobody_pushes_out_what_is_remembered_of_another(puts: list[tuple[str, int, float | None]]) -> None:
+    now, most = 0.0, 3
+    memory: Memory[int] = Memory(most, 5.0, lambda: now)
+    alone: dict[str, Memory[int]] = {owner: Memory(most, 5.0, lambda: now) for owner in "abc"}
+    for owner, number, seconds in puts:
+        now += 1
+        for one in (memory, alone[owner]):
+            one.put(owner, f"{owner}{number}", number, seconds)
+        for other, own in alone.items():
+            keys = [f"{other}{n}" for n in range(10)]
+            assert [memory.get(key) for key in keys] == [own.get(key) for key in keys]
+            assert sum(memory.get(key) is not None for key in keys) <= most
+    now += 100
+    memory.sweep()
+    assert len(memory) == len(memory._owned) == 0
 
 
 def test_the_past_is_bounded_by_bytes() -> None:

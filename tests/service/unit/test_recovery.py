@@ -6,6 +6,7 @@ import asyncio
 import itertools
 import sqlite3
 import time
+from collections import deque
 from pathlib import Path
 from typing import Any
 
@@ -272,12 +273,12 @@ def test_a_long_value_is_not_copied() -> None:
 
 def saved(sid: str, seq: int, entries: list[int], first: int = 0, whole: bool = False) -> Saved:
     base = Operation("revive", {}, b"state of %d" % seq)
-    return Saved(sid, "me", {"seq": seq}, base, [(n, b"entry") for n in entries], first, whole)
+    return Saved(sid, "me", {"seq": seq}, base, deque((n, b"entry") for n in entries), first, whole)
 
 
 def reopened(folder: Path) -> tuple[Vault, list[Saved]]:
     vault = Vault(folder, Metrics())
-    vault.open()
+    vault.begin()
     return vault, vault.take()[0]
 
 

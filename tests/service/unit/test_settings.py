@@ -9,6 +9,8 @@ import pytest
 from pydantic import ValidationError
 
 from mfcmt_core.cli import main
+from service.auth import Gate
+from service.problems import ProblemError
 from service.settings import Settings
 
 
@@ -49,7 +51,16 @@ def test_variables_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
         ("MFCMT_MAX_FRAME_BYTES", "1"),
         ("MFCMT_MAX_FRAME_PIXELS", "1000000000"),
         ("MFCMT_API_KEYS", "short"),
+        ("MFCMT_API_KEYS", "a-key-that-is-long-enough-but-ö"),
+        ("MFCMT_ADMIN_KEY", ""),
+        ("MFCMT_ADMIN_KEY", "x"),
+        ("MFCMT_ADMIN_KEY", "the-key-of-the-öperator"),
         ("MFCMT_ALLOWED_ORIGINS", "app.example"),
+        ("MFCMT_ALLOWED_ORIGINS", "https://app.example/"),
+        ("MFCMT_ALLOWED_ORIGINS", "https://user@app.example"),
+        ("MFCMT_ALLOWED_ORIGINS", "*"),
+        ("MFCMT_ALLOWED_ORIGINS", "null"),
+        ("MFCMT_ALLOWED_ORIGINS", "app://"),
         ("MFCMT_PUBLIC_URL", "ftp://x"),
         ("MFCMT_LOG_LEVEL", "loud"),
     ],
@@ -62,6 +73,18 @@ def test_a_bad_setting_is_refused_by_its_name(
     told = capsys.readouterr().err
     assert name in told
     assert len(told.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "origin",
+    ["capacitor://localhost", "app://localhost", "tauri://localhost", "ionic://localhost", "app://obsidian.md:81"],
+)
+def test_apps_in_a_webview_can_be_allowed(origin: str) -> None:
+    """They have origins of schemes of their own (Capacitor, Cordova, Tauri, Ionic)."""
+    gate = Gate(Settings(allowed_origins=f"https://app.example,{origin.upper()}"), lambda: 0.0)
+    gate.check_browser({"origin": origin, "host": "localhost:8000"})
+    with pytest.raises(ProblemError, match="origin-refused"):
+        gate.check_browser({"origin": origin + "1", "host": "localhost:8000"})
 
 
 def test_beyond_loopback_needs_keys_or_a_word(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,11 +7,13 @@ import json
 
 import httpx2
 import pytest
+from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
+from websockets.typing import Origin
 
 from service.load.clips import Clip
 
-from .conftest import Serve, Wire
+from .conftest import Serve, Stream, Wire, problem
 
 KEY, OTHER, ADMIN = "key-of-the-first-tenant", "key-of-the-other-tenant", "key-of-the-operator"
 
@@ -190,3 +192,33 @@ async def test_no_secret_is_ever_logged(serve: Serve, clip: Clip) -> None:
     assert "unauthenticated" in log
     for secret in (KEY, OTHER, ADMIN, ticket, attachment, signing, snapshot[20:40].hex()):
         assert secret not in log
+
+
+async def test_a_page_of_a_name_that_was_pointed_here_reaches_nothing(serve: Serve, clip: Clip) -> None:
+    """DNS rebinding: the browser holds the page and the service for the same origin."""
+    wire = serve()
+    sid = (await wire.create(clip.frames[0], clip.box))["id"]
+    host = f"evil.example:{wire.server.port}"
+    evil = {"Host": host, "Origin": f"http://{host}"}
+    async with httpx2.AsyncClient(base_url=wire.server.url, headers=evil) as page:
+        path = f"/v1/sessions/{sid}"
+        paths = ("/v1/sessions", path, f"{path}/snapshot", "/", "/docs", "/livez", "/readyz", "/metrics", "/nowhere")
+        refused = [await page.get(path) for path in paths] + [await page.delete(path)]
+        refused.append(await page.options(path, headers={"Access-Control-Request-Method": "PUT"}))
+        for response in refused:
+            assert problem(response) == (421, "host-refused")
+            assert "access-control-allow-origin" not in response.headers
+    stream_url = f"ws://{host}/v1/sessions/{sid}/stream"
+    async with connect(stream_url, host="127.0.0.1", port=wire.server.port, origin=Origin(f"http://{host}")) as socket:
+        stream = Stream(socket)
+        assert await stream.refused() == "host-refused"
+        assert await stream.closed() == 4403
+    with pytest.raises(InvalidStatus) as denied:
+        async with connect(stream_url, host="127.0.0.1", port=wire.server.port):
+            pass
+    assert denied.value.response.status_code == 421
+    async with wire.stream(sid) as stream:  # still there, and nothing is attached
+        assert stream.ready["session"]["seq"] == 0
+    for name in ("localhost", "127.0.0.1", "[::1]"):
+        async with httpx2.AsyncClient(base_url=wire.server.url, headers={"Host": f"{name}:{wire.server.port}"}) as own:
+            assert (await own.get(f"/v1/sessions/{sid}")).status_code == 200

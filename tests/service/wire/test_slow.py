@@ -20,7 +20,7 @@ from service.load.own import OwnServer
 
 from .conftest import Serve, Wire
 
-HOST = b"Host: service\r\n"
+HOST = b"Host: localhost\r\n"
 # Ample on a busy machine, and far below what an unbounded wait would be.
 PATIENCE_S = 30.0
 Pair = tuple[asyncio.StreamReader, asyncio.StreamWriter]

@@ -56,6 +56,7 @@ const BY_STATUS = {
   404: "session-not-found",
   409: "attached-elsewhere",
   410: "session-gone",
+  421: "host-refused",
   429: "rate-limited",
   503: "at-capacity",
 };

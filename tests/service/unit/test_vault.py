@@ -1,0 +1,220 @@
+"""The state directory: nothing of an ended session stays in it, and a disk that is full costs a bounded memory."""
+
+from __future__ import annotations
+
+import random
+import resource
+import shutil
+import sqlite3
+from collections import deque
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+import msgpack
+import pytest
+from prometheus_client import generate_latest
+from structlog.testing import capture_logs
+
+from service.observability.metrics import Metrics
+from service.sessions import vault as vaults
+from service.sessions.journal import Operation
+from service.sessions.vault import FILE, SCHEMA, BadState, Saved, Vault
+
+PIECE = 48
+
+
+def opened(folder: Path) -> Vault:
+    vault = Vault(folder, Metrics())
+    vault.begin()
+    return vault
+
+
+def saved(sid: str, frame: bytes, seqs: range = range(1), first_seq: int = 0) -> Saved:
+    entries = deque((seq, b"entry %d" % seq) for seq in seqs)
+    front = {"seq": seqs[-1]}
+    return Saved(sid, "me", front, Operation("revive", {}, b"state" + frame), entries, first_seq, whole=False)
+
+
+def frames(count: int, seed: int = 1) -> list[bytes]:
+    """Bytes of the sizes of frames and checkpoints, no piece of which comes twice."""
+    source = random.Random(seed)
+    return [source.randbytes(source.choice((900, 3_000, 12_000, 60_000, 700_000))) for _ in range(count)]
+
+
+def remains(folder: Path, frames: list[bytes]) -> int:
+    """Of how many frames a piece is in any file of the folder."""
+    held = [file.read_bytes() for file in folder.iterdir()]
+    return sum(
+        any(
+            frame[at : at + PIECE] in data
+            for at in range(0, len(frame) - PIECE, max(400, len(frame) // 200))
+            for data in held
+        )
+        for frame in frames
+    )
+
+
+@dataclass
+class Before:
+    """A row of the file, before it is packed."""
+
+    id: str
+    owner: str
+    front: dict[str, Any]
+    op: str
+    args: dict[str, Any]
+    data: bytes
+    past: bytes = b"entry"
+
+
+def as_before(folder: Path, kept: list[Before], ended: list[Before]) -> None:
+    """The file as the version wrote it that left the bytes of ``ended`` sessions in free pages."""
+    folder.mkdir(mode=0o700, exist_ok=True)
+    with closing(sqlite3.connect(folder / FILE, isolation_level=None)) as db:
+        for pragma in ("locking_mode=EXCLUSIVE", "journal_mode=WAL", "secure_delete=FAST"):
+            db.execute(f"PRAGMA {pragma}")
+        for statement in SCHEMA.split(";"):
+            db.execute(statement)
+        db.execute("PRAGMA user_version=1")
+        for one in kept + ended:
+            front, args = msgpack.packb(one.front), msgpack.packb(one.args)
+            checksum = crc32(one.data, crc32(args, crc32(front)))
+            row = (one.id, one.owner, front, one.op, args, one.data, checksum)
+            db.execute("INSERT INTO session VALUES (?, ?, ?, ?, ?, ?, ?, 1)", row)
+            db.execute("INSERT INTO trajectory VALUES (?, 0, ?)", (one.id, one.past))
+        for one in ended:
+            db.execute("DELETE FROM session WHERE id = ?", (one.id,))
+            db.execute("DELETE FROM trajectory WHERE session = ?", (one.id,))
+
+
+@pytest.mark.parametrize("others", [False, True], ids=["the last ones", "beside others"])
+def test_nothing_of_an_ended_session_stays_on_disk(tmp_path: Path, others: bool) -> None:
+    """While the service runs and after it stops, in the file, its free pages and its write-ahead log."""
+    images = frames(12)
+    vault = opened(tmp_path)
+    kept = frames(3, seed=2) if others else []
+    for number, image in enumerate(images + kept):
+        vault.save(saved(f"s{number}", image))
+        assert vault.flush(20)
+        # Newer states of the same session replace it.
+        vault.save(saved(f"s{number}", image[::-1]))
+        vault.save(saved(f"s{number}", image))
+    assert vault.flush(20)
+    assert remains(tmp_path, images) == len(images)
+    for number in range(len(images)):
+        vault.forget(f"s{number}")
+    assert vault.flush(20)
+    gone = images + [image[::-1] for image in images]
+    assert remains(tmp_path, gone) == 0
+    assert remains(tmp_path, kept) == len(kept)
+    vault.close()
+    assert remains(tmp_path, gone) == 0
+
+
+def test_what_a_killed_process_left_in_the_log_is_erased_at_the_next_start(tmp_path: Path) -> None:
+    images = frames(4)
+    running, killed = tmp_path / "running", tmp_path / "killed"
+    vault = opened(running)
+    for number, image in enumerate(images):
+        vault.save(saved(f"s{number}", image))
+    assert vault.flush(20)
+    vault._db.execute("DELETE FROM session")  # type: ignore[union-attr]
+    shutil.copytree(running, killed)
+    vault.close()
+    assert remains(killed, images) == len(images)
+    vault = opened(killed)
+    assert remains(killed, images) == 0
+    vault.close()
+
+
+def test_remains_of_an_earlier_version_are_erased_and_its_sessions_are_read(tmp_path: Path) -> None:
+    kept, ended = frames(3), frames(8, seed=2)
+    rows = [Before(f"s{n}", "me", {"seq": 0}, "revive", {}, data) for n, data in enumerate(kept + ended)]
+    as_before(tmp_path, rows[: len(kept)], rows[len(kept) :])
+    assert remains(tmp_path, ended) > 0
+    vault = Vault(tmp_path, Metrics())
+    vault.open()
+    found, damaged = vault.take()
+    assert [(one.id, one.base.data, one.whole, list(one.entries)) for one in found] == [
+        (f"s{n}", data, True, [(0, b"entry")]) for n, data in enumerate(kept)
+    ]
+    assert damaged == []
+    assert remains(tmp_path, ended) == 0
+    vault.close()
+
+
+def fill_up(vault: Vault) -> Callable[[], None]:
+    """Let the disk of an open vault be full until what is returned is called."""
+    assert vault._db is not None
+    (most,) = vault._db.execute("PRAGMA max_page_count").fetchone()
+    vault._db.execute("PRAGMA max_page_count=1")
+    return lambda: vault._db.execute(f"PRAGMA max_page_count={most}")  # type: ignore[union-attr, return-value]
+
+
+def failures(vault: Vault) -> float:
+    text = generate_latest(vault._metrics.registry).decode()
+    return float(
+        next(line for line in text.splitlines() if line.startswith("mfcmt_state_write_failures_total")).split()[1]
+    )
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(vaults, "RETRY_S", 0.01)
+
+
+@pytest.mark.usefixtures("impatient")
+def test_a_full_disk_costs_a_bounded_memory_and_one_line(tmp_path: Path) -> None:
+    with capture_logs() as lines:
+        vault = opened(tmp_path)
+        vault.save(saved("lasting", frames(1)[0]))
+        assert vault.flush(20)
+        make_room = fill_up(vault)
+        for seq in range(1, 2000):
+            vault.save(saved("lasting", b"x" * 100_000, range(seq - 1, seq + 1), first_seq=max(0, seq - 50)))
+            vault.save(saved(f"short{seq}", b"x" * 100_000))
+            vault.forget(f"short{seq}")
+            if seq % 200 == 0:
+                while failures(vault) < seq // 200:
+                    pass
+        waiting = vault._waiting | vault._batch
+        assert set(waiting) <= {"lasting", "short1999"}
+        assert waiting["lasting"] is not None
+        assert [seq for seq, _ in waiting["lasting"].entries] == list(range(1949, 2000))
+        vault.forget("lasting")
+        make_room()
+        assert vault.flush(20)
+        vault.close()
+    told = [line["event"] for line in lines]
+    assert told.count("sessions cannot be written") == 1
+    assert told.count("sessions are written again") == 1
+    vault = opened(tmp_path)
+    assert vault.take() == ([], [])
+    vault.close()
+
+
+@pytest.mark.usefixtures("impatient")
+def test_a_vault_that_could_not_write_says_so_when_it_is_closed(tmp_path: Path) -> None:
+    vault = opened(tmp_path)
+    fill_up(vault)
+    vault.save(saved("a", b"x" * 100_000))
+    assert not vault.flush(0.1)
+    assert vault.close() is False
+    vault = opened(tmp_path)
+    vault.save(saved("a", b"x" * 100_000))
+    assert vault.close() is True
+
+
+def test_a_full_disk_at_the_start_says_what_to_do(tmp_path: Path) -> None:
+    opened(tmp_path).close()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        with pytest.raises(BadState, match="cannot be used"):
+            Vault(tmp_path, Metrics()).open()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
