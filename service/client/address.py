@@ -27,9 +27,9 @@ class Address:
     def of(cls, url: str, key: str | None, ping_interval_s: float, timeout_s: float) -> Self:
         """The address that a user gave. Raises ValueError, and ConnectionLost for a proxy that cannot be used."""
         parts = _checked(url)
-        if key is not None and not HEADER_VALUE.fullmatch(key):
+        if key and not HEADER_VALUE.fullmatch(key):
             raise ValueError("key has a character that no key has: a space, a line's end or one beyond ASCII")
-        headers = {} if key is None else {"Authorization": f"Bearer {key}"}
+        headers = {} if not key else {"Authorization": f"Bearer {key}"}
         return cls(parts.geturl(), headers, proxy_of(parts), ping_interval_s, timeout_s)
 
     def stream(self, session_id: str, query: Mapping[str, str]) -> str:

@@ -36,6 +36,11 @@ class Cable:
         for task in self._tasks:
             task.cancel()
 
+    def lead_to(self, port: int) -> None:
+        """Reset all connections; new ones go to another port, as a Kubernetes Service chooses another pod."""
+        self._port = port
+        self.cut()
+
     def cut(self) -> None:
         """Reset all connections."""
         for writer in self._open:
