@@ -41,7 +41,7 @@ class Attachment:
         cannot pass or the time is over.
         """
         give_up = time.monotonic() + told.reconnect_in_s + self.reconnect_for_s
-        delay, wait = FIRST_DELAY_S, told.reconnect_in_s
+        delay, wait, unheard = FIRST_DELAY_S, told.reconnect_in_s, False
         while True:
             await asyncio.sleep(wait)
             try:
@@ -53,7 +53,10 @@ class Attachment:
                     raise
                 return connection
             except ClientError as failed:
-                if time.monotonic() > give_up or not _may_pass(failed, before, told.resumable):
+                # An attempt that was not heard may have attached under a name that we do not know.
+                unheard |= isinstance(failed, ConnectionLost)
+                ours = before.attachment is None or unheard
+                if time.monotonic() > give_up or not _may_pass(failed, ours, told.resumable):
                     raise
                 wait = delay * random.uniform(0.5, 1.0)  # noqa: S311
                 if isinstance(failed, Problem) and failed.retry_after_s is not None:
@@ -81,16 +84,16 @@ class Attachment:
         raise ready if isinstance(ready, Problem) else ConnectionLost("the stream began without ready")
 
 
-def _may_pass(failed: ClientError, before: Ready, resumable: bool) -> bool:
+def _may_pass(failed: ClientError, ours: bool, resumable: bool) -> bool:
     """Whether another attempt may succeed.
 
     While the process that has the session is away, whatever stands in for it says 404, 502 or 503: another
-    replica does not know the session, a proxy knows nobody.
+    replica does not know the session, a proxy knows nobody. ``ours``: what is attached may be left behind by us.
     """
     if not isinstance(failed, Problem):
         return True
-    if failed.code == "attached-elsewhere":  # by somebody else, where our own attachment has a name
-        return before.attachment is None
+    if failed.code == "attached-elsewhere":
+        return ours
     if failed.status == 404:
         return resumable
     return failed.status >= 500 or failed.code == "rate-limited"

@@ -35,10 +35,11 @@ async def test_a_stream_goes_on_when_its_service_is_back(own_server: Serve, clip
         frames = (Frame(clip.frame(index), ts=index) for index in range(1, FRAMES))
         stream = session.stream(frames, mode="lossless", on_resumed=told.append)
         results = [await anext(stream) for _ in range(5)]
-        rest = asyncio.create_task(drained(stream))
         with watch(rollout.first):
-            await rollout.happen()
-            results += await rest
+            async with asyncio.TaskGroup() as both:
+                rest = both.create_task(drained(stream))
+                both.create_task(rollout.happen())
+        results += rest.result()
         assert [result.ts for result in results] == list(range(1, FRAMES))
         assert [result.target for result in results] == undisturbed
         assert told[-1].lost_after is None
@@ -60,10 +61,11 @@ async def test_a_stream_without_asyncio_goes_on_too(own_server: Serve, clip: Cli
             return results
 
     async with rollout.cable:
-        working = asyncio.create_task(asyncio.to_thread(work))
-        await five.wait()
-        await rollout.happen()
-        assert [result.ts for result in await working] == list(range(1, FRAMES))
+        async with asyncio.TaskGroup() as both:
+            working = both.create_task(asyncio.to_thread(work))
+            await five.wait()
+            both.create_task(rollout.happen())
+        assert [result.ts for result in working.result()] == list(range(1, FRAMES))
 
 
 async def test_results_missed_are_asked_for_until_the_service_answers(

@@ -42,6 +42,7 @@ export class Attaching {
     const giveUpAt = performance.now() + pauseMs + this.#options.reconnectForMs;
     let delay = FIRST_DELAY_MS;
     let wait = pauseMs;
+    let unheard = false;
     for (;;) {
       await this.#pause(wait);
       if (this.#stopped) throw streamEnded();
@@ -49,8 +50,12 @@ export class Attaching {
         return await this.#attempt();
       } catch (failed) {
         if (this.#stopped) throw streamEnded();
+        // An attempt that was not heard may have attached under a name that we do not know.
+        unheard ||= failed.code === "connection-lost";
         const error = await this.#explained(failed);
-        if (performance.now() > giveUpAt || !mayPass(error, this.#name !== null && resumable)) throw error;
+        const again = this.#name !== null;
+        const ours = again && unheard && error.code === "attached-elsewhere";
+        if (performance.now() > giveUpAt || !(ours || mayPass(error, again && resumable))) throw error;
         wait = Math.max(delay * (0.5 + Math.random() / 2), (error.retryAfter ?? 0) * 1000);
         delay = Math.min(2 * delay, LONGEST_DELAY_MS);
         this.#onRetry(error, wait);
