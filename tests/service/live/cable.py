@@ -19,6 +19,8 @@ class Cable:
         self._tasks: set[asyncio.Task[None]] = set()
         self._dead: set[asyncio.Task[None]] = set()
         self.connections = 0
+        self.mute = False
+        """New connections carry nothing of what the server says."""
 
     @property
     def url(self) -> str:
@@ -60,7 +62,8 @@ class Cable:
             writer.transport.abort()
             return
         self._open += [writer, far_writer]
-        for source, sink in ((reader, far_writer), (far_reader, writer)):
+        ways = ((reader, far_writer), (far_reader, writer))
+        for source, sink in ways[:1] if self.mute else ways:
             task = asyncio.create_task(self._carry(source, sink))
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)

@@ -100,6 +100,28 @@ async def test_takes_over_its_own_dead_connection(server: OwnServer, clip: Clip)
         assert [r.target.box for r in results] == [one[0].box for one in said]
 
 
+async def test_an_attempt_that_was_not_heard_is_its_own_too(own_server: Serve, clip: Clip) -> None:
+    """The server has attached a handshake whose answer was lost, and holds the session until it misses the pongs."""
+    server = own_server(ping_interval_s=1, ping_timeout_s=1)
+    async with (
+        Cable(server.port) as cable,
+        AsyncClient(cable.url, ping_interval_s=5, timeout_s=2) as client,
+        await client.create(clip.frames[0], clip.box) as session,
+    ):
+        stream = session.stream(paced(clip, 30), mode="lossless")
+        results = [await anext(stream)]
+        rest = asyncio.create_task(drained(stream))
+        cable.mute = True
+        cable.cut()
+        while server.log.count("stream attached") < 2:
+            await asyncio.sleep(0.02)
+        cable.go_dead()
+        cable.mute = False
+        results += await rest
+        assert [r.seq for r in await session.trajectory(after=0)] == [r.seq for r in results]
+        assert len(results) == len(clip.frames) - 1
+
+
 async def test_leaves_others_alone(server: OwnServer, client: AsyncClient, clip: Clip) -> None:
     """Whoever took the session over while our connection was dead keeps it."""
     async with (
