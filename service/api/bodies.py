@@ -22,7 +22,7 @@ from ..sessions.meter import Room
 from ..settings import Settings
 
 JSON, MSGPACK, FORM = "application/json", "application/msgpack", "multipart/form-data"
-SNAPSHOT = "application/vnd.mfcmt.snapshot"
+SNAPSHOT, BYTES = "application/vnd.mfcmt.snapshot", "application/octet-stream"
 # Beside the frame: boxes, options, the part headers of a form.
 ENVELOPE_BYTES = 64 * 1024
 M = TypeVar("M", bound=BaseModel)
@@ -75,9 +75,9 @@ async def read_upload(request: Request, settings: Settings, *, raw: bool) -> Upl
         if type(frame) is not bytes:
             raise ProblemError("bad-request", "frame is the image's bytes")
         return Upload(_sized(frame, settings), told)
-    if raw and (kind.startswith("image/") or kind in ("application/octet-stream", "")):
+    if raw and (kind.startswith("image/") or kind in (BYTES, "")):
         return Upload(await read(request, settings.max_frame_bytes, settings, "frame-too-large"), {})
-    raise unsupported(FORM, JSON, MSGPACK, *(("image/*", "application/octet-stream") if raw else (SNAPSHOT,)))
+    raise unsupported(FORM, JSON, MSGPACK, *(("image/*", BYTES) if raw else (SNAPSHOT,)))
 
 
 def boxes(told: dict[str, Any]) -> list[list[float]]:

@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from ..problems import CATALOGUE, MEDIA_TYPE
 from ..schemas import examples
-from .bodies import FORM, JSON, MSGPACK
+from ..schemas.session import Box
+from .bodies import BYTES, FORM, JSON, MSGPACK
 from .bodies import SNAPSHOT as SNAPSHOT_TYPE
 
-ANY_CALL = ("unauthenticated", "host-refused", "origin-refused", "rate-limited", "internal", "at-capacity")
+# What every path can answer, the probes too.
+ANY_PATH = ("host-refused", "origin-refused", "internal")
+ANY_CALL = (*ANY_PATH, "unauthenticated", "rate-limited", "at-capacity")
 WITH_BODY = ("bad-request", "body-too-large", "unsupported-media-type", "deadline-exceeded")
 ON_SESSION = ("session-not-found", "session-gone")
 IN_LANE = ("deadline-exceeded",)
@@ -71,16 +76,24 @@ def _session_answer(description: str) -> dict[str, Any]:
     return {"description": description, "content": content("Session", examples.SESSION)}
 
 
-_BOX_TEXT = {
+_FOUR = r"\d{1,4},\d{1,4},[1-9]\d{0,3},[1-9]\d{0,3}"
+_BOX_TEXT = {"type": "string", "description": "`x,y,w,h` or a JSON array", "pattern": f"^{_FOUR}$"}
+_BOXES_TEXT = {
     "type": "string",
-    "description": "`x,y,w,h` or a JSON array",
-    "pattern": r"^\d{1,4},\d{1,4},[1-9]\d{0,3},[1-9]\d{0,3}$",
+    "description": "a JSON array of boxes",
+    "pattern": rf"^\[\[{_FOUR}\](,\[{_FOUR}\]){{0,3}}\]$",
 }
 _ENCODED = {"type": "string", "format": "byte", "description": "the image in base64"}
 _BINARY = {"type": "string", "format": "binary", "description": "the image; bin"}
 _IMAGE_PART = {"contentType": "image/jpeg, image/png, image/webp"}
-_BOXES = {"type": "array", "items": ref("Box"), "minItems": 1}
-_ONE_OF = [{"required": ["box"]}, {"required": ["boxes"]}]
+# Not by reference: a generated class with two references to one list defines a name twice.
+_BOXES = {"type": "array", "items": TypeAdapter(Box).json_schema(), "minItems": 1}
+# One of the two. Said so that what makes code of schemas has one class for the body.
+_BOX_OR_BOXES: dict[str, Any] = {
+    "if": {"required": ["box"]},
+    "then": {"not": {"required": ["boxes"]}},
+    "else": {"required": ["boxes"]},
+}
 
 
 def _map(properties: dict[str, Any], **more: Any) -> dict[str, Any]:
@@ -94,27 +107,36 @@ def _map(properties: dict[str, Any], **more: Any) -> dict[str, Any]:
     }
 
 
-def _create_map(frame: dict[str, Any]) -> dict[str, Any]:
+def _create(frame: dict[str, Any]) -> dict[str, Any]:
     properties = {"frame": frame, "box": ref("Box"), "boxes": _BOXES, "options": ref("Options")}
-    return {"schema": _map(properties, oneOf=_ONE_OF), "example": examples.CREATE}
+    return _map(properties, **_BOX_OR_BOXES)
 
 
-def _frame_map(frame: dict[str, Any]) -> dict[str, Any]:
-    properties = {"frame": frame, "seq": ref("Seq"), "ts": ref("Echo"), "region": ref("Region")}
-    example = {"frame": examples.CREATE["frame"], "seq": 17, "ts": 1712.5}
-    return {"schema": _map(properties), "example": example}
+def _frame(frame: dict[str, Any]) -> dict[str, Any]:
+    return _map({"frame": frame, "seq": ref("Seq"), "ts": ref("Echo"), "region": ref("Region")})
 
 
+# The bodies with a frame, by the names that their classes get in generated clients.
+BODIES = {
+    "CreateBody": _create(_ENCODED),
+    "CreateForm": _map(
+        {"frame": IMAGE, "box": _BOX_TEXT, "boxes": _BOXES_TEXT, "options": ref("Options")}, **_BOX_OR_BOXES
+    ),
+    "FrameBody": _frame(_ENCODED),
+    "FrameForm": _map({"frame": IMAGE}),
+}
 _CREATE_FORM = {
-    "schema": _map({"frame": IMAGE, "box": _BOX_TEXT, "boxes": _BOXES, "options": ref("Options")}, oneOf=_ONE_OF),
-    "encoding": {"frame": _IMAGE_PART, "boxes": {"contentType": JSON}, "options": {"contentType": JSON}},
+    "schema": ref("CreateForm"),
+    "encoding": {"frame": _IMAGE_PART, "options": {"contentType": JSON}},
     "example": {"frame": "(the image)", "box": "198,214,34,81", "options": {"preset": "default"}},
 }
+_FRAME_EXAMPLE = {"frame": examples.CREATE["frame"], "seq": 17, "ts": 1712.5}
 _FRAME_FORM = {
-    "schema": _map({"frame": IMAGE}),
+    "schema": ref("FrameForm"),
     "encoding": {"frame": _IMAGE_PART},
     "example": {"frame": "(the image)"},
 }
+_SNAPSHOT = {"schema": BINARY, "example": "(what /snapshot gave)"}
 
 CREATE_SESSION = _call(
     201,
@@ -131,11 +153,13 @@ CREATE_SESSION = _call(
     "too-many-targets",
     "over-quota",
     "draining",
+    "session-gone",  # of a repeated Idempotency-Key
     body={
         FORM: _CREATE_FORM,
-        JSON: _create_map(_ENCODED),
-        MSGPACK: _create_map(_BINARY),
-        SNAPSHOT_TYPE: {"schema": BINARY, "example": "(what /snapshot gave)"},
+        JSON: {"schema": ref("CreateBody"), "example": examples.CREATE},
+        MSGPACK: {"schema": _create(_BINARY), "example": examples.CREATE},
+        SNAPSHOT_TYPE: _SNAPSHOT,
+        BYTES: _SNAPSHOT,
     },
     parameters=[KEY],
 )
@@ -168,10 +192,10 @@ POST_FRAME = _call(
         "image/jpeg": _RAW_FRAME,
         "image/png": _RAW_FRAME,
         "image/webp": _RAW_FRAME,
-        "application/octet-stream": _RAW_FRAME,
+        BYTES: _RAW_FRAME,
         FORM: _FRAME_FORM,
-        MSGPACK: _frame_map(_BINARY),
-        JSON: _frame_map(_ENCODED),
+        JSON: {"schema": ref("FrameBody"), "example": _FRAME_EXAMPLE},
+        MSGPACK: {"schema": _frame(_BINARY), "example": _FRAME_EXAMPLE},
     },
 )
 _BOX_BODY = {"schema": ref("BoxBody"), "example": {"box": examples.BOX}}
@@ -216,7 +240,7 @@ SNAPSHOT = _call(
     200,
     {
         "description": "the session",
-        "content": {SNAPSHOT_TYPE: {"schema": BINARY, "example": "(signed bytes)"}},
+        "content": {kind: {"schema": BINARY, "example": "(signed bytes)"} for kind in (SNAPSHOT_TYPE, BYTES)},
     },
     *ANY_CALL,
     *NEGOTIATED,
@@ -240,13 +264,11 @@ CAPABILITIES = _call(
     *NEGOTIATED,
 )
 _HEALTH = {"content": {JSON: {"schema": ref("Health"), "example": examples.HEALTH}}}
-LIVEZ = _call(200, {"description": "the process answers", **_HEALTH}, "host-refused", "origin-refused", "internal")
+LIVEZ = _call(200, {"description": "the process answers", **_HEALTH}, *ANY_PATH)
 READYZ = _call(
     200,
     {"description": "new sessions are welcome", **_HEALTH},
-    "host-refused",
-    "origin-refused",
-    "internal",
+    *ANY_PATH,
     "at-capacity",
     "draining",
 )
@@ -259,8 +281,6 @@ METRICS = _call(
             for kind in ("text/plain", "application/openmetrics-text")
         },
     },
-    "host-refused",
-    "origin-refused",
-    "internal",
+    *ANY_PATH,
     "unauthenticated",
 )

@@ -31,7 +31,7 @@ async def create_session(request: Request, service: ServiceDep, caller: Caller, 
     if key is not None and not KEY.fullmatch(key):
         raise ProblemError("bad-request", "Idempotency-Key is 1 to 255 printable characters")
     service.meter.frame(caller)
-    if bodies.media_type(request) == bodies.SNAPSHOT:
+    if bodies.media_type(request) in (bodies.SNAPSHOT, bodies.BYTES):
         snapshot = await bodies.read(request, settings.max_snapshot_bytes, settings)
         service.meter.add_bytes(caller, len(snapshot))
         try:

@@ -10,7 +10,7 @@ from starlette.responses import Response
 
 from . import contract
 from .answers import chosen_type
-from .bodies import SNAPSHOT
+from .bodies import BYTES, SNAPSHOT
 from .deps import ServiceDep, SessionDep
 
 router = APIRouter(tags=["snapshots"])
@@ -19,9 +19,9 @@ router = APIRouter(tags=["snapshots"])
 @router.get("/sessions/{session_id}/snapshot", **contract.SNAPSHOT)
 async def get_snapshot(request: Request, service: ServiceDep, session: SessionDep) -> Response:
     """All targets, `seq` and the newest frame, taken between two frames; post it to `/v1/sessions` to go on."""
-    chosen_type(request, SNAPSHOT)
+    media_type = chosen_type(request, SNAPSHOT, BYTES)
     contents = await session.snapshot()
     # Large: not on the event loop.
     data = await asyncio.to_thread(service.seal.close, session.owner, contents)
     service.metrics.snapshot_bytes.observe(len(data))
-    return Response(data, media_type=SNAPSHOT)
+    return Response(data, media_type=media_type)

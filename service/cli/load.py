@@ -7,7 +7,6 @@ import json
 import re
 import sys
 from pathlib import Path
-from urllib.parse import urlsplit
 
 from mfcmt_core.cli import UsageError
 
@@ -18,6 +17,7 @@ from ..load.own import OwnServer, ServerFailed
 from ..load.report import measure
 from ..load.run import Outcome, load, run_loop
 from ..load.text import of_report, of_run
+from .target import host_of
 
 MAX_SESSIONS, MAX_FPS, MAX_SECONDS, MAX_FRAMES = 1024, 10_000.0, 3600.0, 300
 LOOPBACK = {"127.0.0.1", "localhost", "::1"}
@@ -115,11 +115,9 @@ def _check(args: argparse.Namespace) -> None:
     if not 0 <= args.fps <= MAX_FPS:
         raise UsageError(f"--fps is from 0 to {MAX_FPS:g}")
     if args.url:
-        parts = urlsplit(args.url)
-        if parts.scheme not in ("http", "https") or not parts.hostname:
-            raise UsageError("--url begins with http:// or https://")
-        if parts.hostname not in LOOPBACK and not args.allow_remote:
-            raise UsageError(f"{parts.hostname} is another machine; --allow-remote if that is meant")
+        host = host_of(args.url, args.key)
+        if host not in LOOPBACK and not args.allow_remote:
+            raise UsageError(f"{host} is another machine; --allow-remote if that is meant")
         if args.report or args.lanes:
             raise UsageError("--report and --lanes start a server of their own; leave out --url")
 

@@ -18,6 +18,7 @@ from ..client import Client, ClientError, Frame, Result
 from ..load.clips import Box, encode, open_clip, parse_box
 from ..load.drive import quantile
 from ..load.own import OwnServer, ServerFailed
+from .target import host_of
 
 MAX_FPS = 1000.0
 SAMPLE_FPS = 30.0
@@ -50,6 +51,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--frames is at least 2")
     if args.fps is not None and not 0 < args.fps <= MAX_FPS:
         raise UsageError(f"--fps is above 0 and at most {MAX_FPS:g}")
+    if args.url:
+        host_of(args.url, args.key)
     # On a terminal each result takes the place of the one before.
     before, after = ("\r\x1b[K", "") if sys.stdout.isatty() else ("", "\n")
     try:

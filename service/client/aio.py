@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
+import time
 from collections.abc import AsyncIterable, AsyncIterator, Callable, Iterable, Mapping
 from typing import Any, Literal, Self, TypeVar, overload
 from weakref import WeakSet
@@ -11,24 +12,29 @@ from weakref import WeakSet
 import httpx2
 import msgpack
 
+from .address import Address
 from .attach import Attachment
-from .connection import Address, Protocol, problem_of
+from .connection import Protocol, problem_of
 from .errors import ConnectionLost, Problem
+from .sources import as_frame, image_bytes, numbers
 from .stream import AsyncStream
-from .types import Frame, Mode, Region, Result, Resumed, SessionInfo, TargetChange, Ticket
+from .types import Frame, Image, Mode, Region, Result, Resumed, SessionInfo, TargetChange, Ticket
 
 T = TypeVar("T")
 MSGPACK = "application/msgpack"
 SNAPSHOT = "application/vnd.mfcmt.snapshot"
 # A call that may be repeated is tried this often when the server cannot be reached.
 ATTEMPTS, RETRY_DELAY_S = 3, 0.1
+# A creation that the service has no lane or place for is tried again for so long.
+WAIT_S = 30.0
 
 
 class AsyncClient:
     """A client of one service. All calls raise :class:`Problem` and :class:`ConnectionLost`.
 
-    ``url`` is the service's base URL, ``key`` an API key, ``timeout_s`` the limit of one call. A stream whose
-    server answers no ping for ``ping_interval_s`` counts as broken.
+    ``url`` is the service's base URL (ValueError for what is none), ``key`` an API key, ``timeout_s`` the limit of
+    one call. A stream whose server answers no ping for ``ping_interval_s`` counts as broken. The environment's
+    proxies (HTTP_PROXY, HTTPS_PROXY, ALL_PROXY) are used except for this machine and for what NO_PROXY names.
     """
 
     def __init__(
@@ -39,9 +45,13 @@ class AsyncClient:
         timeout_s: float = 30.0,
         ping_interval_s: float = 20.0,
     ) -> None:
-        headers = {} if key is None else {"Authorization": f"Bearer {key}"}
-        self.address = Address(url.rstrip("/"), headers, ping_interval_s, timeout_s)
-        self._http = httpx2.AsyncClient(base_url=self.address.url, headers=headers, timeout=timeout_s)
+        self.address = Address.of(url, key, ping_interval_s, timeout_s)
+        self._http = httpx2.AsyncClient(
+            transport=httpx2.AsyncHTTPTransport(proxy=self.address.proxy_url),
+            base_url=self.address.url,
+            headers=self.address.headers,
+            timeout=timeout_s,
+        )
         self._streams: WeakSet[AsyncStream[Any]] = WeakSet()
 
     async def __aenter__(self) -> Self:
@@ -58,28 +68,30 @@ class AsyncClient:
 
     async def create(
         self,
-        frame: bytes,
+        frame: Image,
         box: Iterable[float] | None = None,
         *,
         boxes: Iterable[Iterable[float]] | None = None,
+        wait_s: float = WAIT_S,
         **options: Any,
     ) -> AsyncSession:
-        """Start a session on the first frame with one ``box`` or several ``boxes``.
+        """Start a session on the first frame, an encoded image or its path, with one ``box`` or several ``boxes``.
 
-        ``options`` are the protocol's: ``preset``, ``idle_timeout_s``, ``on_resize``, ``label``, ``maps``.
+        A service that has no lane ready yet, or no place, is asked again for ``wait_s`` seconds. ``options`` are the
+        protocol's: ``preset``, ``idle_timeout_s``, ``on_resize``, ``label``, ``maps``.
         """
-        body: dict[str, Any] = {"frame": frame}
+        body: dict[str, Any] = {"frame": await image_bytes(frame)}
         if box is not None:
-            body["box"] = [float(v) for v in box]
+            body["box"] = numbers(box)
         if boxes is not None:
-            body["boxes"] = [[float(v) for v in each] for each in boxes]
+            body["boxes"] = [numbers(each) for each in boxes]
         if options:
             body["options"] = options
-        return await self._create(msgpack.packb(body), MSGPACK)
+        return await self._create(msgpack.packb(body), MSGPACK, wait_s)
 
-    async def restore(self, snapshot: bytes) -> AsyncSession:
-        """Start a session where the one of the snapshot was."""
-        return await self._create(snapshot, SNAPSHOT)
+    async def restore(self, snapshot: Image, *, wait_s: float = WAIT_S) -> AsyncSession:
+        """Start a session where the one of the snapshot was; ``wait_s`` as in :meth:`create`."""
+        return await self._create(await image_bytes(snapshot, "a snapshot"), SNAPSHOT, wait_s)
 
     async def session(self, session_id: str) -> AsyncSession:
         """A session that exists."""
@@ -115,22 +127,35 @@ class AsyncClient:
                 answer = await self._http.request(method, path, headers=headers, **request)
             except httpx2.TransportError as failed:
                 if attempt == attempts:
-                    raise ConnectionLost(f"{self.address.url}: {failed or type(failed).__name__}") from failed
+                    raise ConnectionLost(self.address.failed(failed)) from failed
                 await asyncio.sleep(RETRY_DELAY_S * 2**attempt)
             else:
                 break
         if answer.is_success:
             return answer
-        problem = problem_of(answer.status_code, answer.content)
+        problem = problem_of(answer.status_code, answer.content, self.address.way)
         if problem.retry_after_s is None and (after := answer.headers.get("Retry-After", "")).isdigit():
             problem.retry_after_s = float(after)
         raise problem
 
-    async def _create(self, body: bytes, media_type: str) -> AsyncSession:
+    async def settle(self, session_id: str) -> None:
+        """Wait until the streams of a session whose loops were left have ended."""
+        for stream in [stream for stream in self._streams if stream.left and stream.session_id == session_id]:
+            await stream.aclose()
+            self._streams.discard(stream)
+
+    async def _create(self, body: bytes, media_type: str, wait_s: float) -> AsyncSession:
         headers = {"Content-Type": media_type, "Idempotency-Key": secrets.token_urlsafe(16)}
-        return AsyncSession(
-            self, SessionInfo.of(await self.json("POST", "/v1/sessions", content=body, headers=headers))
-        )
+        give_up = time.monotonic() + wait_s
+        while True:
+            try:
+                made = await self.json("POST", "/v1/sessions", content=body, headers=headers)
+            except Problem as refused:
+                if refused.status != 503 or refused.retry_after_s is None or time.monotonic() >= give_up:
+                    raise
+                await asyncio.sleep(min(refused.retry_after_s, max(0.0, give_up - time.monotonic())))
+            else:
+                return AsyncSession(self, SessionInfo.of(made))
 
     def _attached(self, stream: AsyncStream[T]) -> AsyncStream[T]:
         self._streams.add(stream)
@@ -164,9 +189,10 @@ class AsyncSession:
         """End the session."""
         await self._client.call("DELETE", self._path)
 
-    async def track(self, frame: bytes | Frame) -> Result:
+    async def track(self, frame: Image | Frame) -> Result:
         """One frame over HTTP; streams are faster."""
-        frame = frame if isinstance(frame, Frame) else Frame(frame)
+        frame = await as_frame(frame)
+        await self._client.settle(self.id)
         body = {"frame": frame.data, "seq": frame.seq, "ts": frame.ts, "region": frame.region}
         packed = msgpack.packb({name: value for name, value in body.items() if value is not None})
         headers = {"Content-Type": MSGPACK}
@@ -174,12 +200,12 @@ class AsyncSession:
 
     async def add_target(self, box: Iterable[float]) -> TargetChange:
         """Start another target on the newest frame."""
-        body = {"box": [float(v) for v in box]}
+        body = {"box": numbers(box)}
         return TargetChange.of(await self._client.json("POST", f"{self._path}/targets", json=body))
 
     async def correct_target(self, target: int, box: Iterable[float]) -> TargetChange:
         """Put a target right on the newest frame."""
-        body = {"box": [float(v) for v in box]}
+        body = {"box": numbers(box)}
         return TargetChange.of(await self._client.json("PUT", f"{self._path}/targets/{target}", json=body))
 
     async def remove_target(self, target: int) -> None:
@@ -233,17 +259,21 @@ class AsyncSession:
         protocol: Protocol = "mfcmt.v1.msgpack",
         reconnect_for_s: float = 60.0,
     ) -> AsyncStream[T]:
-        """Send ``frames`` (``bytes`` or :class:`Frame`) and iterate over what was found in them.
+        """Send ``frames`` (``bytes``, paths or :class:`Frame`) and iterate over what was found in them.
 
         ``latest`` drops frames that newer ones overtake; ``lossless`` answers every one and sends no faster
         than that. With ``encode(image, region)`` frames may be anything: it is called, in a thread, with
         each of them and the part that is needed (None: the whole) and returns that part as an image; it
-        pays where bandwidth or decoding is dear. A broken connection, also through a restart of the service,
-        is resumed for ``reconnect_for_s`` seconds at most. See :class:`AsyncStream` for the rest.
+        pays where bandwidth or decoding is dear. A broken connection is resumed, also through a restart of the
+        service and while others that do not know the session stand in for it, for ``reconnect_for_s`` seconds at
+        most. Leaving the loop early ends the attachment. See :class:`AsyncStream` for the rest.
         """
         attachment = Attachment(self._client.address, self.id, mode, protocol, takeover, ticket, reconnect_for_s)
 
         async def missed(after: int) -> list[Result]:
             return await self.trajectory(after=after)
 
-        return self._client._attached(AsyncStream(attachment, frames, encode, on_refused, on_resumed, missed))
+        async def settle() -> None:
+            await self._client.settle(self.id)
+
+        return self._client._attached(AsyncStream(attachment, frames, encode, on_refused, on_resumed, missed, settle))

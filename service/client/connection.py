@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, Literal, cast
-from urllib.parse import urlencode
 
 import msgpack
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketException
 from websockets.typing import Subprotocol
 
+from .address import Address
 from .errors import ConnectionLost, Problem, of_close
 from .types import Draining, Frame, Mode, Ready, Result, Targets
 
@@ -20,20 +19,6 @@ Protocol = Literal["mfcmt.v1.msgpack", "mfcmt.v1.json"]
 Message = Ready | Result | Targets | Draining | Problem
 
 MAX_MESSAGE_BYTES = 64 * 1024 * 1024
-
-
-@dataclass(frozen=True, slots=True)
-class Address:
-    """Where and as whom to attach: the server's base URL and the headers of every request to it."""
-
-    url: str
-    headers: Mapping[str, str]
-    ping_interval_s: float
-    timeout_s: float
-
-    def stream(self, session_id: str, query: Mapping[str, str]) -> str:
-        base = "ws" + self.url.removeprefix("http")
-        return f"{base}/v1/sessions/{session_id}/stream?{urlencode(query)}"
 
 
 class Connection:
@@ -71,6 +56,7 @@ class Connection:
                 address.stream(session_id, query),
                 subprotocols=cast(list[Subprotocol], protocols),
                 additional_headers=address.headers,
+                proxy=address.proxy_url,
                 compression=None,
                 max_size=MAX_MESSAGE_BYTES,
                 open_timeout=address.timeout_s,
@@ -79,9 +65,11 @@ class Connection:
                 ping_timeout=address.ping_interval_s,
             )
         except InvalidStatus as refused:
-            raise problem_of(refused.response.status_code, bytes(refused.response.body or b"")) from refused
+            raise problem_of(
+                refused.response.status_code, bytes(refused.response.body or b""), address.way
+            ) from refused
         except (OSError, TimeoutError, EOFError, WebSocketException) as failed:
-            raise ConnectionLost(f"cannot attach: {failed or type(failed).__name__}") from failed
+            raise ConnectionLost(f"cannot attach: {address.failed(failed)}") from failed
         return cls(socket, binary=protocol == "mfcmt.v1.msgpack")
 
     async def send_frame(self, frame: Frame) -> None:
@@ -146,10 +134,10 @@ def _of_closed(closed: ConnectionClosed) -> Problem | ConnectionLost:
     return of_close(code, reason) or ConnectionLost(f"the stream broke off: {code} {reason}".rstrip())
 
 
-def problem_of(status: int, body: bytes) -> Problem:
-    """The problem in an HTTP answer; of any other body only the status is told."""
+def problem_of(status: int, body: bytes, way: str = "") -> Problem:
+    """The problem in an HTTP answer; of any other body, a proxy's say, the status and the ``way`` are told."""
     try:
         members = json.loads(body)
         return Problem({"status": status} | members)
     except (ValueError, TypeError):
-        return Problem({"code": "internal", "status": status, "detail": f"HTTP {status}"})
+        return Problem({"code": "internal", "status": status, "detail": f"HTTP {status}{way}"})

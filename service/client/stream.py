@@ -9,13 +9,13 @@ from collections import deque
 from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable, Iterable
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Generic, Self, TypeVar, cast
 
 from .attach import Attachment
 from .connection import Connection
 from .errors import ClientError, ConnectionLost, Problem
-from .sources import each
-from .types import Draining, Frame, Ready, Region, Result, Resumed, Targets
+from .sources import as_frame, each, image_bytes, numbers
+from .types import Draining, Frame, Image, Ready, Region, Result, Resumed, Targets
 
 T = TypeVar("T")
 
@@ -31,10 +31,13 @@ LINGER_S = 2.0
 class AsyncStream(Generic[T]):
     """An async iterator of results; made by :meth:`AsyncSession.stream`.
 
-    Iterating starts it and ends with the last frame's answer. ``async with`` also closes it when the loop is
-    left early. A frame that was refused is raised out of the iteration as a :class:`Problem`, unless
-    ``on_refused`` takes it; the stream goes on either way. When it goes on after a break of its connection or
-    a restart of the service, ``on_resumed`` is told; without it, a loss is logged as a warning.
+    Iterating starts it and ends with the last frame's answer. Leaving the loop early, by ``break`` or by an
+    exception, ends the attachment; inside ``async with`` the end of the block does, and the loop may be entered
+    again. Who calls ``anext`` instead closes the stream with :meth:`aclose`.
+
+    A frame that was refused is raised out of the iteration as a :class:`Problem`, unless ``on_refused`` takes it;
+    the stream goes on either way. When it goes on after a break of its connection or a restart of the service,
+    ``on_resumed`` is told; without it, a loss is logged as a warning.
     """
 
     def __init__(
@@ -45,6 +48,7 @@ class AsyncStream(Generic[T]):
         on_refused: Callable[[Problem], None] | None,
         on_resumed: Callable[[Resumed], None] | None,
         missed: Callable[[int], Awaitable[list[Result]]],
+        settle: Callable[[], Awaitable[None]],
     ) -> None:
         self._attachment = attachment
         self._latest = attachment.mode == "latest"
@@ -53,9 +57,10 @@ class AsyncStream(Generic[T]):
         self._on_refused = on_refused
         self._on_resumed = on_resumed or _log_loss
         self._missed = missed
+        self._settle = settle
         self._connection: Connection | None = None
         self._ready: Ready | None = None
-        self._starting = asyncio.Lock()
+        self._starting, self._closing = asyncio.Lock(), asyncio.Lock()
         self._up = asyncio.Event()
         self._room = asyncio.Event()
         self._arrived: asyncio.Queue[Result | ClientError | None] = asyncio.Queue()
@@ -68,7 +73,12 @@ class AsyncStream(Generic[T]):
         self._exhausted = False
         self._ended: ClientError | None = None
         self._tasks: list[asyncio.Task[None]] = []
-        self._pause_s = 0.0
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._in_block = False
+        self._closer: asyncio.Task[None] | None = None
+        self.left = False
+        """Whether its loop was left early: it closes, or has closed."""
+        self._told = Draining(0.0, True)
         self.region: Region | None = None
         """The part of the coming frames that is needed, as last told; None for the whole."""
 
@@ -79,7 +89,13 @@ class AsyncStream(Generic[T]):
             raise ConnectionLost("the stream has not started")
         return self._ready
 
+    @property
+    def session_id(self) -> str:
+        """The id of the session that it belongs to."""
+        return self._attachment.session_id
+
     async def __aenter__(self) -> Self:
+        self._in_block = True
         await self._start()
         return self
 
@@ -87,7 +103,7 @@ class AsyncStream(Generic[T]):
         await self.aclose()
 
     def __aiter__(self) -> AsyncIterator[Result]:
-        return self
+        return _Iteration(self)
 
     async def __anext__(self) -> Result:
         await self._start()
@@ -101,11 +117,12 @@ class AsyncStream(Generic[T]):
             await self.aclose()
         raise item or StopAsyncIteration
 
-    async def send(self, frame: bytes | Frame) -> int:
+    async def send(self, frame: Image | Frame) -> int:
         """Send one frame when there is credit for it; its ``seq``. For streams made without frames."""
+        ready = await as_frame(frame)
         await self._start()
         await self._wait_for_room()
-        return await self._send(None, frame if isinstance(frame, Frame) else Frame(frame))
+        return await self._send(None, ready)
 
     async def finish(self) -> None:
         """No more frames will be sent: the iteration ends with the answers to those that were."""
@@ -114,11 +131,11 @@ class AsyncStream(Generic[T]):
 
     async def add(self, box: Iterable[float], *, on_next: bool = False) -> Targets:
         """Add a target on the newest frame, or on the next one. Raises :class:`Problem`."""
-        return await self._control({"type": "add", "box": list(box)}, on_next)
+        return await self._control({"type": "add", "box": numbers(box)}, on_next)
 
     async def correct(self, target: int, box: Iterable[float], *, on_next: bool = False) -> Targets:
         """Put a target right on the newest frame, or on the next one. Raises :class:`Problem`."""
-        return await self._control({"type": "correct", "target": target, "box": list(box)}, on_next)
+        return await self._control({"type": "correct", "target": target, "box": numbers(box)}, on_next)
 
     async def remove(self, target: int) -> Targets:
         """Remove a target. Raises :class:`Problem`."""
@@ -127,19 +144,33 @@ class AsyncStream(Generic[T]):
     async def aclose(self) -> None:
         """End the attachment; the session lives on."""
         self._end(None)
-        tasks = [task for task in self._tasks if task is not asyncio.current_task()]
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-        connection, self._connection = self._connection, None
-        if connection is not None:
-            await connection.close()
+        async with self._closing:
+            tasks = [task for task in self._tasks if task is not asyncio.current_task()]
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            connection, self._connection = self._connection, None
+            if connection is not None:
+                await connection.close()
+
+    def leave(self) -> None:
+        """Close soon, unless a block will; may be called from any thread, also when the event loop is gone."""
+        if self._in_block or self._loop is None or self._connection is None:
+            return
+        self.left = True
+        with suppress(RuntimeError):  # the loop is closed, and so is all that it had open
+            self._loop.call_soon_threadsafe(self._close_soon)
+
+    def _close_soon(self) -> None:
+        self._closer = asyncio.get_running_loop().create_task(self.aclose())
 
     async def _start(self) -> None:
         async with self._starting:
             if self._tasks or self._ended:
                 return
+            await self._settle()
             connection, ready = await self._attachment.open()
+            self._loop = asyncio.get_running_loop()
             self._connection, self._ready = connection, ready
             self._next_seq, self._last_seq = ready.next_seq, ready.session.seq
             self._stand(ready)
@@ -165,21 +196,16 @@ class AsyncStream(Generic[T]):
     async def _resume(self) -> Connection:
         """A new connection on which the stream goes on; raises what forbids it."""
         broken = time.monotonic()
-        while True:
-            pause_s, self._pause_s = self._pause_s, 0.0
-            connection, ready = await self._attachment.reopen(self.ready, pause_s)
-            self._connection, self._ready = connection, ready
-            try:
-                await self._take_up(connection, ready)
-            except ConnectionLost:
-                await connection.close()
-            else:
-                lost_after = ready.lost_after if (ready.lost_after or 0) < self._last_seq else None
-                self._on_resumed(Resumed(ready.session.seq, time.monotonic() - broken, lost_after))
-                return connection
+        told, self._told = self._told, Draining(0.0, True)
+        connection = await self._attachment.reopen(self.ready, told, self._take_up)
+        ready = self.ready
+        lost_after = ready.lost_after if (ready.lost_after or 0) < self._last_seq else None
+        self._on_resumed(Resumed(ready.session.seq, time.monotonic() - broken, lost_after))
+        return connection
 
     async def _take_up(self, connection: Connection, ready: Ready) -> None:
         """Fetch the results that were missed, send again what was not tracked."""
+        self._connection, self._ready = connection, ready
         if any(seq <= ready.session.seq for seq in self._unanswered):
             for result in await self._missed(self._last_seq):
                 self._dispatch(result)
@@ -229,14 +255,11 @@ class AsyncStream(Generic[T]):
 
     async def _encoded(self, item: T, region: Region | None) -> Frame:
         if self._encode is None:
-            if isinstance(item, Frame):
-                return item
-            if isinstance(item, bytes):
-                return Frame(item)
-            raise TypeError(f"a frame is bytes or Frame, not {type(item).__name__}; or give encode")
+            return await as_frame(cast(Image | Frame, item))
         if region is not None and tuple(region) == (0, 0, *self.ready.session.size):
             region = None
-        return Frame(await asyncio.to_thread(self._encode, item, region), region=region)
+        encoded = await asyncio.to_thread(self._encode, item, region)
+        return Frame(await image_bytes(encoded, "what encode returns"), region=region)
 
     async def _wait_for_room(self) -> None:
         while self._ended is None and not self._has_room():
@@ -302,7 +325,7 @@ class AsyncStream(Generic[T]):
                 if ref in self._controls:
                     self._controls.pop(ref).set_result(message)
             case Draining():
-                self._pause_s = message.reconnect_in_s
+                self._told = message
         self._room.set()
         self._end_if_done()
 
@@ -336,6 +359,22 @@ class AsyncStream(Generic[T]):
         self._fall(ConnectionLost("the stream has ended"))
         self._up.set()
         self._room.set()
+
+
+class _Iteration:
+    """The results of one ``async for``, which nothing refers to any more once it is left."""
+
+    def __init__(self, stream: AsyncStream[Any]) -> None:
+        self._stream = stream
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> Result:
+        return await self._stream.__anext__()
+
+    def __del__(self) -> None:
+        self._stream.leave()
 
 
 def _log_loss(resumed: Resumed) -> None:

@@ -9,7 +9,7 @@ from typing import Any, Generic, Literal, Self, TypeVar, overload
 
 from .aio import AsyncClient, AsyncSession
 from .stream import AsyncStream
-from .types import Frame, Ready, Region, Result, SessionInfo, TargetChange, Targets, Ticket
+from .types import Frame, Image, Ready, Region, Result, SessionInfo, TargetChange, Targets, Ticket
 
 R = TypeVar("R")
 T = TypeVar("T")
@@ -42,8 +42,8 @@ class Client:
     """A client of one service; see :class:`AsyncClient`, whose calls it has without ``await``."""
 
     def __init__(self, url: str = "http://127.0.0.1:8000", **options: Any) -> None:
-        self._loop = _Loop()
         self._client = AsyncClient(url, **options)
+        self._loop = _Loop()
 
     def __enter__(self) -> Self:
         return self
@@ -58,7 +58,7 @@ class Client:
 
     def create(
         self,
-        frame: bytes,
+        frame: Image,
         box: Iterable[float] | None = None,
         *,
         boxes: Iterable[Iterable[float]] | None = None,
@@ -67,9 +67,9 @@ class Client:
         """See :meth:`AsyncClient.create`."""
         return Session(self._loop, self._loop.run(self._client.create(frame, box, boxes=boxes, **options)))
 
-    def restore(self, snapshot: bytes) -> Session:
+    def restore(self, snapshot: Image, **options: Any) -> Session:
         """See :meth:`AsyncClient.restore`."""
-        return Session(self._loop, self._loop.run(self._client.restore(snapshot)))
+        return Session(self._loop, self._loop.run(self._client.restore(snapshot, **options)))
 
     def session(self, session_id: str) -> Session:
         """See :meth:`AsyncClient.session`."""
@@ -117,7 +117,7 @@ class Session:
         """See :meth:`AsyncSession.close`."""
         self._loop.run(self._session.close())
 
-    def track(self, frame: bytes | Frame) -> Result:
+    def track(self, frame: Image | Frame) -> Result:
         """See :meth:`AsyncSession.track`."""
         return self._loop.run(self._session.track(frame))
 
@@ -169,7 +169,7 @@ class Session:
 
 
 class Stream(Generic[T]):
-    """An iterator of results; see :class:`AsyncStream`."""
+    """An iterable of results; see :class:`AsyncStream`."""
 
     def __init__(self, loop: _Loop, stream: AsyncStream[T]) -> None:
         self._loop = loop
@@ -190,8 +190,19 @@ class Stream(Generic[T]):
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def __del__(self) -> None:
+        self._stream.leave()
+
     def __iter__(self) -> Iterator[Result]:
-        return self
+        try:
+            while True:
+                try:
+                    result = self._loop.run(self._stream.__anext__())
+                except StopAsyncIteration:
+                    return
+                yield result
+        finally:
+            self._stream.leave()
 
     def __next__(self) -> Result:
         try:
@@ -199,7 +210,7 @@ class Stream(Generic[T]):
         except StopAsyncIteration:
             raise StopIteration from None
 
-    def send(self, frame: bytes | Frame) -> int:
+    def send(self, frame: Image | Frame) -> int:
         """See :meth:`AsyncStream.send`."""
         return self._loop.run(self._stream.send(frame))
 

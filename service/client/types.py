@@ -6,6 +6,7 @@ from base64 import b64decode
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
+from os import PathLike
 from typing import Any, Literal
 
 Box = tuple[float, float, float, float]
@@ -16,6 +17,9 @@ Region = tuple[int, int, int, int]
 
 Size = tuple[int, int]
 """``(w, h)`` in pixels."""
+
+Image = bytes | bytearray | memoryview | PathLike[str]
+"""An encoded image (JPEG, PNG or WebP), or the path of its file."""
 
 Status = Literal["tracking", "uncertain", "lost"]
 Mode = Literal["latest", "lossless"]

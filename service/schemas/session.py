@@ -28,6 +28,8 @@ Echo = Annotated[
 ]
 Millis = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Preset = Literal["default", "paper"]
+# Less is no time to send the next frame in.
+LEAST_IDLE_S = 1.0
 
 
 class Model(BaseModel):
@@ -126,7 +128,7 @@ class Options(Model):
     model_config = ConfigDict(extra="forbid", strict=True)
 
     preset: Preset = "default"
-    idle_timeout_s: Annotated[float | None, Field(gt=0, allow_inf_nan=False)] = None
+    idle_timeout_s: Annotated[float | None, Field(ge=LEAST_IDLE_S, allow_inf_nan=False)] = None
     on_resize: Annotated[
         Literal["reject", "rescale"], Field(description="what a frame of another size does to the session")
     ] = "reject"

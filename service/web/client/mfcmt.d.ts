@@ -141,7 +141,8 @@ export interface ProblemDocument {
 }
 
 /**
- * Everything this client throws on purpose. `code` is one of the protocol's problems, or of the client's own:
+ * Everything this client throws on purpose. `code` is one of the protocol's problems (with the status 0 where the client
+ * itself refused what it was given), or of the client's own:
  * `connection-lost` (the server cannot be reached, or not again in time), `stream-ended` (used after its end),
  * `unsupported-source` (not a frame, or pixels where nothing can encode them), `aborted`, `no-websocket`.
  */
@@ -167,7 +168,10 @@ export class MFCMTError extends Error {
 }
 
 export interface ClientOptions {
-  /** Base URL of the service; in a page its own origin by default, else `http://127.0.0.1:8000`. */
+  /**
+   * Base URL of the service, `http:` or `https:`, perhaps with a path; in a page its own origin by default and may be
+   * relative, else `http://127.0.0.1:8000`.
+   */
   url?: string;
   /** An API key. Streams then fetch a ticket for every handshake: keys never appear in a URL. */
   key?: string;
@@ -197,6 +201,8 @@ export interface CreateOptions extends EncodeOptions {
   /** Repeating the call with the same key and body gives the same session. Made up when not given. */
   idempotencyKey?: string;
   signal?: AbortSignal;
+  /** A service that has no lane ready yet, or no place, is asked again for so long. Default 30,000. */
+  waitMs?: number;
 }
 
 export interface StreamOptions extends EncodeOptions {
@@ -214,7 +220,7 @@ export interface StreamOptions extends EncodeOptions {
   takeover?: boolean;
   /** A ticket, or what gives one for each handshake: for pages that hold no key. */
   ticket?: string | (() => string | Promise<string>);
-  /** For how long a broken connection is tried again. Default 60,000. */
+  /** For how long a broken connection is tried again, also while others stand in for the service. Default 60,000. */
   reconnectForMs?: number;
   /** Frames unanswered and nothing heard for this long: the connection counts as broken. Default 10,000. */
   stallMs?: number;
@@ -328,7 +334,8 @@ export class Stream {
   readonly stats: StreamStats;
   /**
    * Results in order; ends with the stream and throws what ended it. Iterate once; events and iteration may be
-   * used together. While many wait unread, `canSend` is false.
+   * used together. While many wait unread, `canSend` is false. Leaving a `for await` early closes the stream, and the
+   * session is free when the loop is left; calling `next()` closes nothing.
    */
   readonly results: AsyncIterableIterator<Result>;
   /** The same as `results`. */
@@ -385,7 +392,7 @@ export class Client {
   readonly url: string;
   createSession(options: CreateOptions): Promise<Session>;
   /** Start a session where the one of the snapshot was. */
-  restoreSession(snapshot: Encoded, options?: { signal?: AbortSignal }): Promise<Session>;
+  restoreSession(snapshot: Encoded, options?: { signal?: AbortSignal; waitMs?: number }): Promise<Session>;
   getSession(id: string): Promise<Session>;
   deleteSession(id: string): Promise<void>;
   /** The caller's own sessions, page by page. */

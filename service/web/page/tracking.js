@@ -4,6 +4,7 @@ import { Client } from "/static/client/mfcmt.js";
 
 const KEY = "mfcmt.key";
 const IDLE_S = 120; // a page that vanished does not keep its place for long
+const WAIT_MS = 5000; // for a lane or a place
 
 /** The key for this tab, if one was needed. */
 export const key = {
@@ -32,7 +33,7 @@ export class Tracking {
     this.client = new Client({ key: key.get() });
     // a phone that is turned goes on, too
     const options = { preset, maps, on_resize: "rescale", label: label.slice(0, 200), idle_timeout_s: IDLE_S };
-    this.session = await this.client.createSession({ frame: frame.canvas, boxes, options, quality });
+    this.session = await this.client.createSession({ frame: frame.canvas, boxes, options, quality, waitMs: WAIT_MS });
     if (this.#ended) {
       this.session.close().catch(() => {});
       return;

@@ -58,6 +58,8 @@ def test_load_drives_a_given_server(server: OwnServer, folder: Path, capsys: pyt
         ["--box", "1,2,3"],
         ["--frames", "no/such/folder"],
         ["--url", "http://127.0.0.1:1", "--report"],
+        ["--url", "ws://127.0.0.1:1"],
+        ["--url", "http://127.0.0.1:1", "--key", "two words"],
     ],
 )
 def test_load_refuses_what_does_not_fit(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
@@ -83,7 +85,9 @@ def test_demo_of_the_rendered_clip(capsys: pytest.CaptureFixture[str]) -> None:
     assert "results in" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("arguments", [["--frames", "1"], ["--fps", "0"], ["no/such/video.mp4"], ["--box", "x"]])
+@pytest.mark.parametrize(
+    "arguments", [["--frames", "1"], ["--fps", "0"], ["no/such/video.mp4"], ["--box", "x"], ["--url", "ws://x"]]
+)
 def test_demo_refuses_what_does_not_fit(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["demo", "--terminal", *arguments]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1

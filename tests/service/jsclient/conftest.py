@@ -20,20 +20,25 @@ PACKAGE = ROOT / "service" / "web" / "client"
 TIMEOUT_S = 240
 
 
-@pytest.fixture(scope="session")
-def node() -> str:
-    """Node with what the tests need from npm."""
+def node_with(folder: Path) -> str:
+    """Node, with what the lock file in a folder names from npm."""
     found = shutil.which("node")
     require(found is not None, "no node")
     assert found is not None
-    if not (HERE / "node_modules" / ".package-lock.json").is_file():
+    if not (folder / "node_modules" / ".package-lock.json").is_file():
         npm = shutil.which("npm")
         require(npm is not None, "no npm")
         assert npm is not None
         call = [npm, "ci", "--no-audit", "--no-fund", "--ignore-scripts"]
-        installed = subprocess.run(call, cwd=HERE, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+        installed = subprocess.run(call, cwd=folder, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
         require(installed.returncode == 0, f"npm ci failed: {installed.stderr[-300:]}")
     return found
+
+
+@pytest.fixture(scope="session")
+def node() -> str:
+    """Node with what the tests need from npm."""
+    return node_with(HERE)
 
 
 @pytest.fixture

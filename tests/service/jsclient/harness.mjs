@@ -95,10 +95,11 @@ const scenarios = {
     const stop = stream.follow(video, { fps: given.fps });
     const seqs = [];
     let boxes = 0;
-    for await (const { seq, targets } of stream) {
+    const results = stream.results;
+    while (seqs.length < given.count) {
+      const { seq, targets } = (await results.next()).value;
       seqs.push(seq);
       boxes += targets.length;
-      if (seqs.length === given.count) break;
     }
     stop();
     const quiet = stream.stats.sent;

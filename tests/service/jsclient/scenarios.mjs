@@ -222,9 +222,69 @@ const scenarios = {
 
   async full() {
     const session = await create();
-    const refused = await refusal(create());
+    const refused = await refusal(create({ waitMs: 0 }));
+    const abort = new AbortController();
+    const aborting = refusal(create({ signal: abort.signal }));
+    setTimeout(() => abort.abort(), 200);
+    const aborted = await aborting;
+    let waited = true;
+    const waiting = create().then((made) => ((waited = false), made));
+    await sleep(300);
+    const still = waited;
     await session.close();
-    return refused;
+    const second = await waiting;
+    await second.close();
+    return { refused, aborted, waited: still, got: second.info.seq };
+  },
+
+  /** Loops that are left: by break, by an exception. */
+  async left() {
+    const session = await create();
+    const statuses = [];
+    for (let round = 0; round < 3; round += 1) {
+      const stream = session.stream({ frames: paced(frames.slice(1), 200), mode: round ? "latest" : "lossless" });
+      try {
+        for await (const { seq } of stream) {
+          if (round === 1) throw new RangeError("left");
+          if (seq > 0) break;
+        }
+      } catch (error) {
+        if (!(error instanceof RangeError)) throw error;
+      }
+      statuses.push(stream.status);
+      const { targets } = await session.track(frames[20]);
+      statuses.push(targets[0].status);
+    }
+    const seqs = [];
+    for await (const { seq } of session.stream({ frames: frames.slice(20, 23), mode: "lossless" })) seqs.push(seq);
+    const { stream } = await session.refresh();
+    await session.close();
+    return { statuses, count: seqs.length, attached: stream.attached };
+  },
+
+  /** What is given wrongly, told before anything is sent. */
+  async arguments() {
+    const wrong = async (make) => refusal((async () => make())());
+    const told = {};
+    for (const url of given.urls) told[url] = await wrong(() => new Client({ url }));
+    const right = given.right.map((url) => new Client({ url }).url);
+    const session = await create();
+    const stream = session.stream();
+    await stream.ready;
+    const boxes = [
+      create({ box: "129,80,64,78" }),
+      create({ box: [1, 2, 3] }),
+      create({ boxes: [1, 2, 3, 4] }),
+      session.addTarget("1,2,3,4"),
+      session.correctTarget(0, ["a", 2, 3, 4]),
+      stream.add("1,2,3,4"),
+      stream.correct(0, null),
+    ];
+    const refusals = [];
+    for (const box of boxes) refusals.push(await refusal(box));
+    stream.close();
+    await session.close();
+    return { urls: told, right, key: await wrong(() => new Client({ key: "from-a-file\n" })), boxes: refusals };
   },
 
   /** The key is the back-end's; the stream gets along with tickets. */

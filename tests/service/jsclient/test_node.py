@@ -16,6 +16,7 @@ from service.load.clips import Clip
 from service.load.own import OwnServer
 from tests.service.live.cable import Cable
 from tests.service.live.conftest import Serve, watch
+from tests.service.live.rollout import Rollout
 from tests.service.live.test_main_job import in_process
 
 from .conftest import Scenario
@@ -274,11 +275,84 @@ async def test_problems_are_typed(server: OwnServer, scenario: Scenario) -> None
     assert told["box"]["detail"]
 
 
-async def test_refused_for_want_of_room_says_when_to_come_again(own_server: Serve, scenario: Scenario) -> None:
+async def test_creating_waits_for_a_place_as_long_as_it_is_told(own_server: Serve, scenario: Scenario) -> None:
     server = own_server(max_sessions_per_lane=1)
     told = await scenario("full", server.url)
-    assert (told["code"], told["status"]) == ("at-capacity", 503)
-    assert told["retryAfter"] > 0
+    assert (told["refused"]["code"], told["refused"]["status"]) == ("at-capacity", 503)
+    assert told["refused"]["retryAfter"] > 0
+    assert told["aborted"]["code"] == "aborted"
+    assert (told["waited"], told["got"]) == (True, 0)
+
+
+async def test_a_loop_that_is_left_ends_the_attachment(server: OwnServer, scenario: Scenario) -> None:
+    """By break and by an exception: the next call and the next stream need not wait or take over."""
+    told = await scenario("left", server.url)
+    assert told["statuses"][::2] == ["closed"] * 3
+    assert (told["count"], told["attached"]) == (3, False)
+
+
+async def test_what_is_given_wrongly_is_told_before_anything_is_sent(server: OwnServer, scenario: Scenario) -> None:
+    wrong = {
+        "ws://127.0.0.1:8000": "http: or https:",
+        "wss://tracking.test": "http: or https:",
+        "127.0.0.1:8000": "http: or https:",
+        "localhost:8000": "http: or https:",
+        "/tracking": "http: or https:",
+        "http://": "http: or https:",
+        "http://tracking.test:99999": "http: or https:",
+        "http://me:secret@tracking.test": "no user and password",
+        "http://tracking.test/?x=1": "without a query",
+        "http://tracking.test/#top": "without a query",
+    }
+    right = {
+        "http://tracking.test/": "http://tracking.test",
+        "HTTPS://tracking.test:8443/a/prefix//": "https://tracking.test:8443/a/prefix",
+        "http://[::1]:8000": "http://[::1]:8000",
+        "": "http://127.0.0.1:8000",
+    }
+    told = await scenario("arguments", server.url, urls=list(wrong), right=list(right))
+    for url, hint in wrong.items():
+        assert (told["urls"][url]["code"], told["urls"][url]["status"]) == ("bad-request", 0)
+        assert hint in told["urls"][url]["detail"]
+        assert "secret" not in told["urls"][url]["detail"]
+    assert told["right"] == list(right.values())
+    assert "from-a-file" not in told["key"]["detail"]
+    for refused in told["boxes"]:
+        assert (refused["code"], refused["status"]) == ("bad-request", 0)
+        assert "a box is four numbers, [x, y, w, h], not" in refused["detail"]
+
+
+async def test_goes_on_when_its_service_is_back(
+    own_server: Serve, clip: Clip, scenario: Scenario, tmp_path: Path
+) -> None:
+    """404 of a replica and of a proxy, 502, 503, refused connections: no result is lost or changed."""
+    rollout = Rollout(own_server, tmp_path)
+    async with rollout.cable:
+        happening: list[asyncio.Task[None]] = []
+
+        def heard(line: dict[str, Any]) -> None:
+            if line.get("results") == 10 and not happening:
+                happening.append(asyncio.create_task(rollout.happen()))
+
+        told = await scenario("stream", rollout.cable.url, heard, stream={"mode": "lossless", "fps": 40})
+        await happening[0]
+        undisturbed = await scenario("stream", rollout.first.url, stream={"mode": "lossless"})
+    assert [r["targets"] for r in told["results"]] == [r["targets"] for r in undisturbed["results"]]
+    assert [resumed["lostAfter"] for resumed in told["resumed"]] == [None] * len(told["resumed"])
+    assert told["resumed"]
+
+
+async def test_a_session_that_stays_away_is_given_up(own_server: Serve, scenario: Scenario, tmp_path: Path) -> None:
+    rollout = Rollout(own_server, tmp_path)
+    async with rollout.cable:
+
+        def heard(line: dict[str, Any]) -> None:
+            if line.get("results") == 10:
+                rollout.cable.lead_to(rollout.second.port)
+
+        stream = {"mode": "lossless", "fps": 40, "reconnectForMs": 500}
+        with pytest.raises(AssertionError, match="session-not-found"):
+            await scenario("stream", rollout.cable.url, heard, stream=stream)
 
 
 async def test_keys_and_tickets(own_server: Serve, scenario: Scenario) -> None:

@@ -19,6 +19,8 @@ class Cable:
         self._tasks: set[asyncio.Task[None]] = set()
         self._dead: set[asyncio.Task[None]] = set()
         self.connections = 0
+        self.mute = False
+        """New connections carry nothing of what the server says."""
 
     @property
     def url(self) -> str:
@@ -35,6 +37,11 @@ class Cable:
         self.cut()
         for task in self._tasks:
             task.cancel()
+
+    def lead_to(self, port: int) -> None:
+        """Reset all connections; new ones go to another port, as a Kubernetes Service chooses another pod."""
+        self._port = port
+        self.cut()
 
     def cut(self) -> None:
         """Reset all connections."""
@@ -55,7 +62,8 @@ class Cable:
             writer.transport.abort()
             return
         self._open += [writer, far_writer]
-        for source, sink in ((reader, far_writer), (far_reader, writer)):
+        ways = ((reader, far_writer), (far_reader, writer))
+        for source, sink in ways[:1] if self.mute else ways:
             task = asyncio.create_task(self._carry(source, sink))
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)

@@ -6,7 +6,9 @@ import asyncio
 import subprocess
 import sys
 from collections.abc import AsyncIterator, Iterator
+from contextlib import suppress
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ from mfcmt_core.images.decode import decode
 from service.client import (
     AsyncClient,
     AsyncStream,
+    Client,
     ClientError,
     ConnectionLost,
     Frame,
@@ -95,6 +98,28 @@ async def test_takes_over_its_own_dead_connection(server: OwnServer, clip: Clip)
                 cable.go_dead()
         said = in_process(clip, [clip.box])
         assert [r.target.box for r in results] == [one[0].box for one in said]
+
+
+async def test_an_attempt_that_was_not_heard_is_its_own_too(own_server: Serve, clip: Clip) -> None:
+    """The server has attached a handshake whose answer was lost, and holds the session until it misses the pongs."""
+    server = own_server(ping_interval_s=1, ping_timeout_s=1)
+    async with (
+        Cable(server.port) as cable,
+        AsyncClient(cable.url, ping_interval_s=5, timeout_s=2) as client,
+        await client.create(clip.frames[0], clip.box) as session,
+    ):
+        stream = session.stream(paced(clip, 30), mode="lossless")
+        results = [await anext(stream)]
+        rest = asyncio.create_task(drained(stream))
+        cable.mute = True
+        cable.cut()
+        while server.log.count("stream attached") < 2:
+            await asyncio.sleep(0.02)
+        cable.go_dead()
+        cable.mute = False
+        results += await rest
+        assert [r.seq for r in await session.trajectory(after=0)] == [r.seq for r in results]
+        assert len(results) == len(clip.frames) - 1
 
 
 async def test_leaves_others_alone(server: OwnServer, client: AsyncClient, clip: Clip) -> None:
@@ -250,10 +275,107 @@ async def test_a_server_that_does_not_come_back(own_server: Serve, clip: Clip) -
             await session.refresh()
 
 
+async def test_a_loop_that_is_left_ends_the_attachment(client: AsyncClient, clip: Clip) -> None:
+    """By break, by an exception, with its iterator: the next call and the next stream need not wait or take over."""
+    async with await client.create(clip.frames[0], clip.box) as session:
+        async for _ in session.stream(clip.frames[1:], mode="lossless"):
+            break
+        assert (await session.track(clip.frames[20])).target.status
+        named = session.stream(clip.frames[1:])
+        with suppress(KeyError):
+            async for _ in named:
+                raise KeyError
+        assert len([r async for r in session.stream(clip.frames[20:23], mode="lossless")]) == 3
+        iterator = aiter(session.stream(clip.frames[1:], mode="lossless"))
+        await anext(iterator)
+        del iterator
+        assert (await session.track(clip.frames[23])).target.status
+        assert not (await session.refresh()).attached
+
+
+async def test_a_loop_inside_a_block_may_be_left_and_entered_again(client: AsyncClient, clip: Clip) -> None:
+    async with await client.create(clip.frames[0], clip.box) as session:
+        seqs = []
+        async with session.stream(clip.frames[1:10], mode="lossless") as stream:
+            async for result in stream:
+                seqs.append(result.seq)
+                if len(seqs) == 3:
+                    break
+            assert (await session.refresh()).attached
+            seqs += [result.seq async for result in stream]
+        assert seqs == list(range(1, 10))
+        assert (await session.track(clip.frames[10])).seq == 10
+
+
+def test_a_loop_without_asyncio_that_is_left_ends_the_attachment(server: OwnServer, clip: Clip) -> None:
+    with Client(server.url) as client, client.create(clip.frames[0], clip.box) as session:
+        for index, _ in enumerate(session.stream(clip.frames[1:], mode="lossless")):
+            if index == 3:
+                break
+        assert session.track(clip.frames[20]).target.status
+        named = session.stream(clip.frames[1:])
+        with suppress(KeyError):
+            for _ in named:
+                raise KeyError
+        assert len(list(session.stream(clip.frames[20:23], mode="lossless"))) == 3
+        next(session.stream(clip.frames[1:], mode="lossless"))  # the stream itself is dropped
+        assert session.track(clip.frames[23]).target.status
+        with session.stream(clip.frames[24:30], mode="lossless") as stream:
+            for _ in stream:
+                break
+            assert session.refresh().attached
+            assert len(list(stream)) == 5
+
+
+def test_a_stream_that_is_never_closed_does_not_keep_the_program(server: OwnServer, clip: Clip, tmp_path: Path) -> None:
+    """Neither a loop that is still open when the interpreter ends, nor one that outlives its client."""
+    first, second = tmp_path / "0.jpg", tmp_path / "1.jpg"
+    first.write_bytes(clip.frames[0])
+    second.write_bytes(clip.frames[1])
+    code = f"""
+from pathlib import Path
+from service.client import Client
+frames = [Path({str(first)!r}), Path({str(second)!r})]
+client = Client({server.url!r})
+sessions = [client.create(frames[0], {tuple(clip.box)!r}) for _ in range(2)]
+loops = [iter(session.stream(frames)) for session in sessions]
+print([next(loop).seq for loop in loops])
+other = Client({server.url!r})
+loop = iter(other.session(sessions[0].id).stream(frames, takeover=True))
+next(loop)
+other.close()
+del loop
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "[1, 1]\n", "")
+
+
+async def test_creating_waits_for_a_place_as_long_as_it_is_told(own_server: Serve, clip: Clip) -> None:
+    server = own_server(max_sessions_per_lane=1)
+    async with AsyncClient(server.url) as client:
+        first = await client.create(clip.frames[0], clip.box)
+        for wait_s in (0, 0.3):
+            with pytest.raises(Problem) as full:
+                await client.create(clip.frames[0], clip.box, wait_s=wait_s)
+            assert (full.value.code, full.value.status) == ("at-capacity", 503)
+        waiting = asyncio.create_task(client.create(clip.frames[0], clip.box))
+        while server.log.count("at-capacity") < 4:
+            await asyncio.sleep(0.02)
+        assert not waiting.done()
+        snapshot = await first.snapshot()
+        await first.close()
+        second = await waiting
+        restoring = asyncio.create_task(client.restore(snapshot))
+        await second.close()
+        assert (await restoring).info.seq == 0
+
+
 async def test_sources_that_are_wrong(client: AsyncClient, clip: Clip) -> None:
     async with await client.create(clip.frames[0], clip.box) as session:
-        with pytest.raises(ClientError, match="bytes"):
+        with pytest.raises(ClientError, match="bytes or a Path, not str"):
             await drained(session.stream(["text"], mode="lossless"))
+        with pytest.raises(ClientError, match=r"cv2\.imencode"):
+            await drained(session.stream([np.zeros((8, 8, 3), np.uint8)], mode="lossless"))
 
         def broken() -> Iterator[bytes]:
             yield clip.frames[1]

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from jsonschema_rs import Draft202012Validator
+from jsonschema_rs import Draft202012Validator, ValidationError
+from pydantic import SecretStr
 
 from service.api import asyncapi, capabilities, page
 from service.app import create_app
@@ -52,6 +53,62 @@ def test_every_call_of_the_protocol_is_documented(openapi: dict[str, Any]) -> No
         if path.startswith("/v1")
     }
     assert set(rows) == told
+
+
+def test_names_of_calls_are_plain(openapi: dict[str, Any]) -> None:
+    """They become the names of functions in generated clients."""
+    names = [call["operationId"] for calls in openapi["paths"].values() for call in calls.values()]
+    assert len(set(names)) == len(names)
+    assert {"create_session", "get_session", "delete_session", "post_frame", "get_snapshot"} <= set(names)
+    assert all(re.fullmatch(r"[a-z]+(_[a-z]+)?", name) for name in names)
+
+
+def test_what_a_caller_may_leave_out_is_optional_in_generated_types(openapi: dict[str, Any]) -> None:
+    """openapi-typescript demands what has a default."""
+    for name in ("Options", "TicketBody", "CreateBody", "CreateForm", "FrameBody"):
+        schema = openapi["components"]["schemas"][name]
+        assert set(schema.get("required", ())) <= {"frame"}
+        assert not any("default" in told for told in schema["properties"].values())
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        {},
+        {"frame": ""},
+        {"box": examples.BOX},
+        {"frame": "", "box": examples.BOX, "boxes": [examples.BOX]},
+        {"frame": "", "boxes": []},
+        {"frame": "", "box": examples.BOX, "options": {"idle_timeout_s": 0.5}},
+        {"frame": "", "box": examples.BOX, "other": 1},
+    ],
+)
+def test_a_wrong_body_does_not_fit_its_schema(openapi: dict[str, Any], body: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        check(openapi, {"$ref": "#/components/schemas/CreateBody"}, body)
+
+
+@pytest.mark.parametrize("kind", ["keys", "file", "none"])
+def test_security_follows_the_settings(tmp_path: Path, kind: str) -> None:
+    """Keys of the file count too; the metrics have a key of their own."""
+    file = tmp_path / "keys"
+    file.write_text("a-key-of-one-tenant\n")
+    given: dict[str, Any] = {
+        "keys": {"api_keys": ("a-key-of-one-tenant",)},
+        "file": {"api_keys_file": file},
+        "none": {},
+    }
+    document = create_app(Settings(**given[kind])).openapi()
+    secured = {path for path, calls in document["paths"].items() for call in calls.values() if "security" in call}
+    assert ("securitySchemes" in document["components"]) == (kind != "none")
+    assert secured == ({path for path in document["paths"] if path.startswith("/v1/")} if kind != "none" else set())
+    document = create_app(Settings(admin_key=SecretStr("the-key-of-who-watches"))).openapi()
+    assert document["paths"]["/metrics"]["get"]["security"]
+    assert "security" not in document["paths"]["/v1/sessions"]["get"]
+
+
+def test_a_repeated_creation_can_meet_an_ended_session(openapi: dict[str, Any]) -> None:
+    assert "410" in openapi["paths"]["/v1/sessions"]["post"]["responses"]
 
 
 def test_every_answer_and_body_has_an_example_that_fits(openapi: dict[str, Any]) -> None:

@@ -13,44 +13,49 @@ export class Attaching {
   #id;
   #options;
   #onMessage;
+  #takeUp;
   #onRetry;
   #name = null;
   #ticketSpent = false;
   #stopped = false;
   #hurry = () => {};
 
-  /** `onRetry(error, waitMs)` tells of every attempt that failed and will be repeated. */
-  constructor(client, id, options, onMessage, onRetry) {
+  /**
+   * `takeUp(connection)` goes on where the stream was; if it rejects, the attempt has failed. `onRetry(error, waitMs)`
+   * tells of every attempt that failed and will be repeated.
+   */
+  constructor(client, id, options, { onMessage, takeUp, onRetry }) {
     this.#client = client;
     this.#id = id;
     this.#options = options;
     this.#onMessage = onMessage;
+    this.#takeUp = takeUp;
     this.#onRetry = onRetry;
   }
 
   /**
    * A new connection after `pauseMs`, tried with back-off. Again, it takes over nothing but what an earlier one of
-   * ours left behind. Rejects with what ended the last attempt, when it cannot pass or the time is over.
+   * ours left behind. Rejects with what ended the last attempt, when it cannot pass or the time is over. A service
+   * that is not `resumable` has lost its sessions when it comes back.
    */
-  async open(pauseMs) {
+  async open(pauseMs, resumable) {
     const giveUpAt = performance.now() + pauseMs + this.#options.reconnectForMs;
     let delay = FIRST_DELAY_MS;
     let wait = pauseMs;
+    let unheard = false;
     for (;;) {
       await this.#pause(wait);
       if (this.#stopped) throw streamEnded();
       try {
-        const connection = await this.#attempt();
-        if (this.#stopped) {
-          connection.abandon();
-          throw streamEnded();
-        }
-        this.#name = connection.ready.attachment;
-        return connection;
+        return await this.#attempt();
       } catch (failed) {
         if (this.#stopped) throw streamEnded();
+        // An attempt that was not heard may have attached under a name that we do not know.
+        unheard ||= failed.code === "connection-lost";
         const error = await this.#explained(failed);
-        if (performance.now() > giveUpAt || !mayPass(error)) throw error;
+        const again = this.#name !== null;
+        const ours = again && unheard && error.code === "attached-elsewhere";
+        if (performance.now() > giveUpAt || !(ours || mayPass(error, again && resumable))) throw error;
         wait = Math.max(delay * (0.5 + Math.random() / 2), (error.retryAfter ?? 0) * 1000);
         delay = Math.min(2 * delay, LONGEST_DELAY_MS);
         this.#onRetry(error, wait);
@@ -74,7 +79,7 @@ export class Attaching {
     if (this.#name) query.set("resume", this.#name);
     else if (takeover) query.set("takeover", "true");
     const [loaded, ticket] = await Promise.all([codecNamed(codec), this.#ticket()]);
-    return connect({
+    const connection = await connect({
       WebSocket: this.#client.WebSocket,
       url: this.#client.streamUrl(this.#id, query),
       codec: loaded,
@@ -82,6 +87,15 @@ export class Attaching {
       timeoutMs: this.#client.timeoutMs,
       onMessage: this.#onMessage,
     });
+    this.#name = connection.ready.attachment;
+    try {
+      if (!this.#stopped) await this.#takeUp(connection);
+      if (this.#stopped) throw streamEnded();
+    } catch (error) {
+      connection.abandon();
+      throw error;
+    }
+    return connection;
   }
 
   /** A browser cannot show its key on a WebSocket; Node could, and does the same. */

@@ -1,5 +1,6 @@
 /** Sessions over HTTP. */
 
+import { apiKey, baseUrl, numbers } from "./arguments.js";
 import { bytesOf, isEncoded } from "./encoder.js";
 import { MFCMTError, aborted, connectionLost, ofResponse } from "./errors.js";
 import { encodeFrame } from "./frame.js";
@@ -10,8 +11,9 @@ const SNAPSHOT = "application/vnd.mfcmt.snapshot";
 // A call that may be repeated is tried this often when the server cannot be reached.
 const ATTEMPTS = 3;
 const RETRY_DELAY_MS = 100;
+// A creation that the service has no lane or place for is tried again for so long.
+const WAIT_MS = 30_000;
 
-const numbers = (box) => Array.from(box, Number);
 const path = (id) => `/v1/sessions/${encodeURIComponent(id)}`;
 
 export class Client {
@@ -19,27 +21,25 @@ export class Client {
   #fetch;
 
   constructor({ url, key, fetch, WebSocket, timeoutMs = 30_000 } = {}) {
-    const page = globalThis.location?.href;
-    const origin = page?.startsWith("http") ? globalThis.location.origin : "http://127.0.0.1:8000";
-    this.url = new URL(url ?? origin, page?.startsWith("http") ? page : undefined).href.replace(/\/+$/, "");
+    this.url = baseUrl(url);
     this.timeoutMs = timeoutMs;
-    this.#headers = key ? { Authorization: `Bearer ${key}` } : {};
-    Object.defineProperty(this, "key", { value: key ?? null }); // not enumerable: no log shows it
+    Object.defineProperty(this, "key", { value: apiKey(key) }); // not enumerable: no log shows it
+    this.#headers = this.key ? { Authorization: `Bearer ${this.key}` } : {};
     this.#fetch = fetch ?? globalThis.fetch.bind(globalThis);
     Object.defineProperty(this, "WebSocket", { value: WebSocket ?? globalThis.WebSocket });
   }
 
-  async createSession({ frame, box, boxes, options, idempotencyKey, signal, ...encoding }) {
+  async createSession({ frame, box, boxes, options, idempotencyKey, signal, waitMs, ...encoding }) {
     const form = new FormData();
     form.append("frame", await this.#image(frame, encoding), "frame");
     if (box) form.append("box", JSON.stringify(numbers(box)));
-    if (boxes) form.append("boxes", JSON.stringify(boxes.map(numbers)));
+    if (boxes) form.append("boxes", JSON.stringify(Array.from(boxes, numbers)));
     if (options) form.append("options", JSON.stringify(options));
-    return this.#create({ body: form, signal }, idempotencyKey);
+    return this.#create({ body: form, signal, waitMs }, idempotencyKey);
   }
 
-  async restoreSession(snapshot, { signal } = {}) {
-    return this.#create({ body: await bytesOf(snapshot), headers: { "Content-Type": SNAPSHOT }, signal });
+  async restoreSession(snapshot, { signal, waitMs } = {}) {
+    return this.#create({ body: await bytesOf(snapshot), headers: { "Content-Type": SNAPSHOT }, signal, waitMs });
   }
 
   async getSession(id) {
@@ -120,9 +120,19 @@ export class Client {
     return frame instanceof Blob ? frame : new Blob([await bytesOf(frame)]);
   }
 
-  async #create({ headers, ...request }, idempotencyKey = madeUpKey()) {
+  /** A service that has no lane ready yet, or no place, says when to come again. */
+  async #create({ headers, waitMs = WAIT_MS, ...request }, idempotencyKey = madeUpKey()) {
     const call = { headers: { ...headers, "Idempotency-Key": idempotencyKey }, ...request };
-    return new Session(this, await this.json("POST", "/v1/sessions", call));
+    const giveUpAt = performance.now() + waitMs;
+    for (;;) {
+      try {
+        return new Session(this, await this.json("POST", "/v1/sessions", call));
+      } catch (refused) {
+        const left = giveUpAt - performance.now();
+        if (refused.status !== 503 || refused.retryAfter === null || left <= 0) throw refused;
+        await pause(Math.min(refused.retryAfter * 1000, left), request.signal);
+      }
+    }
   }
 }
 
@@ -157,11 +167,11 @@ export class Session {
     return this.#client.json("POST", `${this.#path}/frames`, { headers, body });
   }
 
-  addTarget(box) {
+  async addTarget(box) {
     return this.#client.json("POST", `${this.#path}/targets`, asJson({ box: numbers(box) }));
   }
 
-  correctTarget(target, box) {
+  async correctTarget(target, box) {
     return this.#client.json("PUT", `${this.#path}/targets/${target}`, asJson({ box: numbers(box) }));
   }
 
@@ -192,6 +202,20 @@ export class Session {
 }
 
 const asJson = (told) => ({ headers: { "Content-Type": "application/json" }, body: JSON.stringify(told) });
+
+/** Resolves after so long, or when the signal says so. */
+function pause(ms, signal) {
+  return new Promise((resolve) => {
+    const timer = setTimeout(done, ms);
+    function done() {
+      clearTimeout(timer);
+      signal?.removeEventListener("abort", done);
+      resolve();
+    }
+    signal?.addEventListener("abort", done);
+    if (signal?.aborted) done();
+  });
+}
 
 /** `crypto.randomUUID` is there on secure origins only; a phone may test over plain HTTP. */
 function madeUpKey() {

@@ -3,6 +3,9 @@
 import { MFCMTError, connectionLost, ofClose, ofHandshake } from "./errors.js";
 
 const OPEN = 1;
+const CLOSED = 3;
+// A server that is gone does not answer a close.
+const CLOSING_MS = 2000;
 
 /**
  * Attach; resolves with the connection when the server has said `ready`, rejects with what it said instead.
@@ -77,7 +80,7 @@ class Connection {
     return this.#send([this.#codec.control(message)]);
   }
 
-  /** Close, and listen no more. */
+  /** Close, and listen no more; resolves when the server has closed too, or does not seem to. */
   abandon() {
     const socket = this.#socket;
     socket.onmessage = socket.onclose = null;
@@ -87,6 +90,15 @@ class Connection {
     } catch {
       // already closing
     }
+    if (socket.readyState === CLOSED) return Promise.resolve();
+    return new Promise((resolve) => {
+      const timer = setTimeout(resolve, CLOSING_MS);
+      timer.unref?.(); // in Node: no program waits for it
+      socket.onclose = () => {
+        clearTimeout(timer);
+        resolve();
+      };
+    });
   }
 
   #send(parts) {

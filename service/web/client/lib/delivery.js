@@ -22,16 +22,21 @@ export class Events {
   }
 }
 
-/** A queue with one reader; `onRead` is called for every item that is taken. */
+/**
+ * A queue with one reader; `onRead` is called for every item that is taken, `onLeave` when a loop over it is left early,
+ * which waits for what it returns.
+ */
 export class Inbox {
   #items = [];
   #readers = [];
   #open = false;
   #ended = null;
   #onRead;
+  #onLeave;
 
-  constructor(onRead) {
+  constructor(onRead, onLeave) {
     this.#onRead = onRead;
+    this.#onLeave = onLeave;
   }
 
   get unread() {
@@ -68,7 +73,7 @@ export class Inbox {
       return: async () => {
         this.#open = false;
         this.#items.length = 0;
-        this.#onRead();
+        await this.#onLeave();
         return { value: undefined, done: true };
       },
       [Symbol.asyncIterator]: () => iterator,

@@ -26,8 +26,13 @@ export const streamEnded = () => new MFCMTError({ code: "stream-ended", detail: 
 export const unsupportedSource = (detail, cause) => new MFCMTError({ code: "unsupported-source", detail }, { cause });
 export const aborted = (cause) => new MFCMTError({ code: "aborted", detail: "aborted by its signal" }, { cause });
 
-/** Whether the same attempt may succeed later. */
-export const mayPass = ({ code, status }) => code === "connection-lost" || code === "rate-limited" || status >= 500;
+/**
+ * Whether the same attempt may succeed later. While the process that has a session is away, whatever stands in for it
+ * says 404, 502 or 503: another replica does not know the session, a proxy knows nobody. `known`: the session was
+ * there, and may be again.
+ */
+export const mayPass = ({ code, status }, known) =>
+  code === "connection-lost" || code === "rate-limited" || status >= 500 || (known && status === 404);
 
 const BY_CLOSE_CODE = {
   1000: { code: "session-gone", status: 410, reason: "closed" },

@@ -9,6 +9,8 @@ export class Link {
   status = "connecting";
   /** The open connection, when the stream has taken it up. */
   connection = null;
+  /** After the end: resolves when the server has let go of the session. */
+  released = Promise.resolve();
   /** The server will not read what is sent from now on; it closes when the rest is answered. */
   holding = false;
   #attaching;
@@ -17,28 +19,31 @@ export class Link {
   #waiting = [];
   #watchdog = null;
   #pauseMs = 0;
+  #resumable = true;
   #hurry = () => this.#attaching.hurry();
 
   /**
-   * `stream` is told: `receive(message)`, `takeUp(connection)` before the connection is used (false when it broke
-   * meanwhile), `up()`, `down(error)`, `status(change)`, `end(error)`; and asked whether it is `expecting` an answer.
+   * `stream` is told: `receive(message)`, `takeUp(connection)` before the connection is used, `up()`, `down(error)`, `status(change)`, `end(error)`; and asked whether it is `expecting` an answer.
    */
   constructor(client, id, options, stream) {
     this.#stream = stream;
     this.#stallMs = options.stallMs;
-    this.#attaching = new Attaching(client, id, options, stream.receive, (error, waitMs) =>
-      this.#become(this.status === "connecting" ? "connecting" : "resuming", error, waitMs),
-    );
+    this.#attaching = new Attaching(client, id, options, {
+      onMessage: stream.receive,
+      takeUp: stream.takeUp,
+      onRetry: (error, waitMs) =>
+        this.#become(this.status === "connecting" ? "connecting" : "resuming", error, waitMs),
+    });
     globalThis.addEventListener?.("online", this.#hurry);
   }
 
   async run() {
     try {
       while (this.status !== "closed") {
-        const connection = await this.#attaching.open(this.#pauseMs);
+        const connection = await this.#attaching.open(this.#pauseMs, this.#resumable);
         this.#pauseMs = 0;
-        if (await this.#stream.takeUp(connection)) this.#stand(connection);
-        else connection.abandon();
+        this.#resumable = true;
+        this.#stand(connection);
         const error = await connection.closed;
         if (error.code !== "connection-lost") throw error;
         this.#fall(error);
@@ -58,7 +63,7 @@ export class Link {
   /** The server is going away and wants to be tried again after `pauseMs`. */
   drain(pauseMs, resumable) {
     this.#pauseMs = pauseMs;
-    this.holding = resumable;
+    this.holding = this.#resumable = resumable;
     this.#become("draining");
   }
 
@@ -67,7 +72,7 @@ export class Link {
     globalThis.removeEventListener?.("online", this.#hurry);
     clearInterval(this.#watchdog);
     this.#attaching.stop();
-    this.connection?.abandon();
+    if (this.connection) this.released = this.connection.abandon();
     this.connection?.end(streamEnded());
     this.connection = null;
     for (const { reject } of this.#waiting.splice(0)) reject(error ?? streamEnded());

@@ -1,8 +1,9 @@
 /** A stream of frames and results that outlives its connections. */
 
+import { numbers } from "./arguments.js";
 import { Controls } from "./controls.js";
 import { Events, Inbox } from "./delivery.js";
-import { MFCMTError, aborted, streamEnded, unsupportedSource } from "./errors.js";
+import { MFCMTError, aborted, mayPass, streamEnded, unsupportedSource } from "./errors.js";
 import { follow } from "./follow.js";
 import { IMAGE_TYPE, QUALITY, regionsByDefault } from "./frame.js";
 import { Link } from "./link.js";
@@ -37,7 +38,10 @@ export class Stream {
   #controls;
   #outbox;
   #events = new Events();
-  #inbox = new Inbox(() => this.#outbox.look());
+  #inbox = new Inbox(
+    () => this.#outbox.look(),
+    () => this.#leave(),
+  );
   #stats = new Stats();
   #done = quiet(deferred());
   #error = null;
@@ -146,12 +150,12 @@ export class Stream {
     });
   }
 
-  add(box, { onNext } = {}) {
-    return this.#controls.say({ type: "add", box: Array.from(box, Number) }, onNext);
+  async add(box, { onNext } = {}) {
+    return this.#controls.say({ type: "add", box: numbers(box) }, onNext);
   }
 
-  correct(target, box, { onNext } = {}) {
-    return this.#controls.say({ type: "correct", target, box: Array.from(box, Number) }, onNext);
+  async correct(target, box, { onNext } = {}) {
+    return this.#controls.say({ type: "correct", target, box: numbers(box) }, onNext);
   }
 
   remove(target) {
@@ -176,6 +180,12 @@ export class Stream {
 
   close() {
     this.#end(null);
+  }
+
+  /** The loop over the results was left early: the session is free when this resolves. */
+  async #leave() {
+    this.close();
+    await this.#link.released;
   }
 
   /** What a caller is told who comes after the end. */
@@ -206,37 +216,30 @@ export class Stream {
 
   // Connections
 
-  /** Fetch the results that were missed, send again what was not tracked; whether the connection is still there. */
+  /** Fetch the results that were missed, send again what was not tracked. */
   async #takeUp(connection) {
     const { ready } = connection;
     const { session } = ready;
-    if (this.info === null) {
-      this.#lastSeq = session.seq;
-    } else if (this.#outbox.hasUpTo(session.seq)) {
-      try {
-        await this.#fetchMissed();
-      } catch (error) {
-        if (error.code === "connection-lost") {
-          connection.end(error);
-          return false;
-        }
-        this.#outbox.forgetUpTo(session.seq); // without a key they cannot be had
-      }
-    }
+    if (this.info === null) this.#lastSeq = session.seq;
+    else if (this.#outbox.hasUpTo(session.seq)) await this.#fetchMissed(session.seq);
     if (this.info) this.#resumed = { seq: session.seq, lostAfter: lostAfter(ready, this.#lastSeq) };
     this.info = ready;
     this.size = session.size;
     this.region = session.region;
     this.targets = session.targets;
     this.#outbox.takeUp(connection);
-    return true;
   }
 
-  async #fetchMissed() {
+  async #fetchMissed(upTo) {
     // What killed the stream may have left dead connections in the browser's pool too: do not wait long for them.
     const timeoutMs = this.#options.stallMs;
-    for (const result of await this.#client.missed(this.#id, this.#lastSeq, { timeoutMs })) {
-      this.#answer({ type: "result", dropped: 0, timing: null, ...result });
+    try {
+      for (const result of await this.#client.missed(this.#id, this.#lastSeq, { timeoutMs })) {
+        this.#answer({ type: "result", dropped: 0, timing: null, ...result });
+      }
+    } catch (error) {
+      if (mayPass(error, true)) throw error;
+      this.#outbox.forgetUpTo(upTo); // without a key they cannot be had
     }
   }
 
