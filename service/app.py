@@ -95,7 +95,8 @@ def create_app(
 
 
 def local_lanes(settings: Settings) -> LanePool:
-    """Worker processes on this machine."""
+    """Worker processes on this machine. The settings leave the environment for it: lanes inherit that."""
+    settings.leave_environment()
     return LanePool(
         settings.lanes,
         settings.max_sessions_per_lane,

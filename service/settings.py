@@ -7,13 +7,22 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, SecretStr, field_validator, model_validator
-from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
+from pydantic_settings import (
+    BaseSettings,
+    EnvSettingsSource,
+    NoDecode,
+    PydanticBaseSettingsSource,
+    SettingsConfigDict,
+)
 
+from . import environment
 from .keys import LEAST_CHARACTERS, read_keys
 from .lanes.cores import usable_cores
 
 MIB = 1024 * 1024
 TEN_YEARS_S = 3.2e8
+# What the exporter of spans reads by itself, and may hold a key.
+OTLP_HEADERS = ("OTEL_EXPORTER_OTLP_HEADERS", "OTEL_EXPORTER_OTLP_TRACES_HEADERS")
 Secrets = Annotated[tuple[SecretStr, ...], NoDecode]
 Names = Annotated[tuple[str, ...], NoDecode]
 
@@ -145,6 +154,25 @@ class Settings(BaseSettings):
     trace_ratio: float = Field(
         default=0.01, ge=0, le=1, allow_inf_nan=False, description="share of calls and frames that begin a trace"
     )
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],  # noqa: ARG003
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,  # noqa: ARG003
+        file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Arguments, then the environment, with what :meth:`leave_environment` has taken out of it."""
+        assert isinstance(env_settings, EnvSettingsSource)
+        env_settings.env_vars = {**environment.taken(), **env_settings.env_vars}
+        return init_settings, env_settings
+
+    @classmethod
+    def leave_environment(cls) -> None:
+        """Take every variable of the settings out of the environment, so that no lane inherits a key."""
+        environment.take({f"MFCMT_{name.upper()}" for name in cls.model_fields} | set(OTLP_HEADERS))
 
     @field_validator("api_keys", "signing_keys", "allowed_origins", mode="before")
     @classmethod

@@ -6,8 +6,7 @@ import asyncio
 import atexit
 import contextlib
 import multiprocessing
-import os
-from collections.abc import AsyncIterator, Iterator, Mapping
+from collections.abc import AsyncIterator, Mapping
 from multiprocessing import forkserver
 from typing import Any
 
@@ -56,9 +55,6 @@ class LanePool:
     async def start(self) -> None:
         """Begin to start all lanes."""
         self._context.set_forkserver_preload(["service.lanes.forkserver"])
-        # Here, because the fork server dies with the thread that starts it (see orphans).
-        with _without_secrets():
-            forkserver.ensure_running()
         # Without this an interpreter that ends without stop() would wait for its workers for ever.
         atexit.register(self._kill_all)
         for lane in self._lanes:
@@ -174,6 +170,8 @@ class LanePool:
     async def _begin(self, lane: LaneProcess, wait_s: float = 0.0) -> None:
         await asyncio.sleep(wait_s)
         try:
+            # Here, because the fork server dies with the thread that starts it (see orphans).
+            forkserver.ensure_running()
             await lane.start(self._context, self._config)
         except (OSError, EOFError):
             lane.kill()
@@ -214,13 +212,3 @@ class LanePool:
         for lane in self._lanes:
             with contextlib.suppress(OSError):
                 lane.kill()
-
-
-@contextlib.contextmanager
-def _without_secrets() -> Iterator[None]:
-    """The fork server and its lanes inherit no settings, and so no keys."""
-    kept = {name: os.environ.pop(name) for name in list(os.environ) if name.startswith("MFCMT_")}
-    try:
-        yield
-    finally:
-        os.environ.update(kept)
