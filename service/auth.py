@@ -68,6 +68,10 @@ class Gate:
             log.info("keys read", keys=len(keys))
         return changed
 
+    def owners(self) -> int:
+        """How many owners the keys stand for; one where everyone is let in."""
+        return len(set(self._keys.values())) or 1
+
     def knows(self, identity: Identity) -> bool:
         """Whether the key that the identity was shown with is good still."""
         return not self._keys or self._keys.get(identity.key) == identity.owner

@@ -49,7 +49,11 @@ class Settings(BaseSettings):
     max_sessions_per_lane: int = Field(
         default=16, ge=1, description="sessions in one lane; the service holds lanes times this"
     )
-    max_sessions_per_key: int = Field(default=1024, ge=1, description="sessions of one key")
+    max_sessions_per_key: int | None = Field(
+        default=None,
+        ge=1,
+        description="sessions of one key; unset: all; half where there are several keys",
+    )
     max_targets_per_session: int = Field(default=16, ge=1, le=256, description="targets in one session")
     region_lag_frames: int = Field(default=1, ge=0, le=30, description="frames in flight that a region leaves room for")
     operation_deadline_s: float = _positive(5.0, "one operation in a lane; a lane that takes longer is replaced")
@@ -109,7 +113,9 @@ class Settings(BaseSettings):
     max_frame_bytes_per_s: float = _positive(512.0 * MIB, "bytes of frames and snapshots of all keys", 1e12)
     max_frame_bytes_per_s_per_key: float = _positive(256.0 * MIB, "bytes of frames and snapshots of one key", 1e12)
     max_streams: int = Field(default=2048, ge=1, description="attached streams")
-    max_streams_per_key: int = Field(default=1024, ge=1, description="attached streams of one key")
+    max_streams_per_key: int | None = Field(
+        default=None, ge=1, description="attached streams of one key; unset: a share of max_streams, as of sessions"
+    )
     max_refused_messages: int = Field(
         default=200, ge=1, description="messages refused for rate in a row before a stream closes"
     )
