@@ -67,12 +67,13 @@ def create_app(
     settings = settings or Settings()
     metrics = Metrics(_tracing(settings))
     lanes = lanes or local_lanes(settings)
-    book = SessionBook(settings, lanes, metrics, clock)
+    gate = Gate(settings, clock)
+    book = SessionBook(settings, lanes, metrics, clock, gate.owners)
     secrets = [secret.get_secret_value().encode() for secret in settings.signing_keys]
     seal = Seal(secrets or [token_bytes(SECRET_BYTES)])
     meter, uploads = Meter(settings, clock), Room(settings.max_upload_bytes)
     exposition = Exposition(metrics, book.__len__, settings.capacity, lanes, book.keeper.budget)
-    service = Service(settings, lanes, book, Gate(settings, clock), metrics, exposition, meter, uploads, seal)
+    service = Service(settings, lanes, book, gate, metrics, exposition, meter, uploads, seal)
 
     app = FastAPI(
         title="MFCMT",
@@ -98,7 +99,8 @@ def create_app(
 
 
 def local_lanes(settings: Settings) -> LanePool:
-    """Worker processes on this machine."""
+    """Worker processes on this machine. The settings leave the environment for it: lanes inherit that."""
+    settings.leave_environment()
     return LanePool(
         settings.lanes,
         settings.max_sessions_per_lane,

@@ -89,6 +89,10 @@ class Gate:
             log.error("the keys stay as they were", reason=str(unreadable))
             return None
 
+    def owners(self) -> int:
+        """How many owners the keys stand for; one where everyone is let in."""
+        return len(set(self._keys.values())) or 1
+
     def knows(self, identity: Identity) -> bool:
         """Whether the key that the identity was shown with is good still."""
         return self._open or self._keys.get(identity.key) == identity.owner

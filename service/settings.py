@@ -8,8 +8,15 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, SecretStr, field_validator, model_validator
-from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
+from pydantic_settings import (
+    BaseSettings,
+    EnvSettingsSource,
+    NoDecode,
+    PydanticBaseSettingsSource,
+    SettingsConfigDict,
+)
 
+from . import environment
 from .keys import LEAST_CHARACTERS, check_key, read_keys
 from .lanes.cores import usable_cores
 
@@ -17,6 +24,8 @@ MIB = 1024 * 1024
 TEN_YEARS_S = 3.2e8
 # Apps in a WebView have origins of other schemes than http.
 ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^\s/?#@*\\]+", re.IGNORECASE)
+# What the exporter of spans reads by itself, and may hold a key.
+OTLP_HEADERS = ("OTEL_EXPORTER_OTLP_HEADERS", "OTEL_EXPORTER_OTLP_TRACES_HEADERS")
 Secrets = Annotated[tuple[SecretStr, ...], NoDecode]
 Names = Annotated[tuple[str, ...], NoDecode]
 
@@ -43,7 +52,11 @@ class Settings(BaseSettings):
     max_sessions_per_lane: int = Field(
         default=16, ge=1, description="sessions in one lane; the service holds lanes times this"
     )
-    max_sessions_per_key: int = Field(default=1024, ge=1, description="sessions of one key")
+    max_sessions_per_key: int | None = Field(
+        default=None,
+        ge=1,
+        description="sessions of one key; unset: all; half where there are several keys",
+    )
     max_targets_per_session: int = Field(default=16, ge=1, le=256, description="targets in one session")
     region_lag_frames: int = Field(default=1, ge=0, le=30, description="frames in flight that a region leaves room for")
     operation_deadline_s: float = _positive(5.0, "one operation in a lane; a lane that takes longer is replaced")
@@ -105,7 +118,9 @@ class Settings(BaseSettings):
     max_frame_bytes_per_s: float = _positive(512.0 * MIB, "bytes of frames and snapshots of all keys", 1e12)
     max_frame_bytes_per_s_per_key: float = _positive(256.0 * MIB, "bytes of frames and snapshots of one key", 1e12)
     max_streams: int = Field(default=2048, ge=1, description="attached streams")
-    max_streams_per_key: int = Field(default=1024, ge=1, description="attached streams of one key")
+    max_streams_per_key: int | None = Field(
+        default=None, ge=1, description="attached streams of one key; unset: a share of max_streams, as of sessions"
+    )
     max_refused_messages: int = Field(
         default=200, ge=1, description="messages refused for rate in a row before a stream closes"
     )
@@ -153,6 +168,25 @@ class Settings(BaseSettings):
     trace_ratio: float = Field(
         default=0.01, ge=0, le=1, allow_inf_nan=False, description="share of calls and frames that begin a trace"
     )
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],  # noqa: ARG003
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,  # noqa: ARG003
+        file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Arguments, then the environment, with what :meth:`leave_environment` has taken out of it."""
+        assert isinstance(env_settings, EnvSettingsSource)
+        env_settings.env_vars = {**environment.taken(), **env_settings.env_vars}
+        return init_settings, env_settings
+
+    @classmethod
+    def leave_environment(cls) -> None:
+        """Take every variable of the settings out of the environment, so that no lane inherits a key."""
+        environment.take({f"MFCMT_{name.upper()}" for name in cls.model_fields} | set(OTLP_HEADERS))
 
     @field_validator("api_keys", "signing_keys", "allowed_origins", mode="before")
     @classmethod

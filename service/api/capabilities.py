@@ -30,6 +30,9 @@ async def get_capabilities(service: ServiceDep, caller: Caller, accepted: Accept
 
 def capabilities(service: Service) -> dict[str, Any]:
     """The Capabilities of the protocol."""
+    limits = {name: getattr(service.settings, name) for name in Limits.model_fields}
+    shares = service.book.shares
+    limits |= {"max_sessions_per_key": shares.sessions, "max_streams_per_key": shares.streams}
     lanes = next((status.versions for status in service.lanes.status() if status.versions), {})
     return {
         "protocol": PROTOCOL_VERSION,
@@ -39,6 +42,6 @@ def capabilities(service: Service) -> dict[str, Any]:
         "image_types": IMAGE_TYPES,
         "trajectory_formats": ["json", "csv", "otb", "mot"],
         "snapshot_versions": list(READABLE),
-        "limits": {name: getattr(service.settings, name) for name in Limits.model_fields},
+        "limits": limits,
         "software": {"mfcmt": version("mfcmt")} | lanes,
     }

@@ -107,9 +107,9 @@ class StreamEndpoint:
     def _check_room(self, owner: str) -> None:
         """Raises over-quota, at-capacity for one stream too many."""
         book, settings = self._service.book, self._service.settings
-        if book.streams_of(owner) >= settings.max_streams_per_key:
-            told = f"at most {settings.max_streams_per_key} streams of a key"
-            raise ProblemError("over-quota", told, retry_after_s=1.0)
+        most = book.shares.streams
+        if most < settings.max_streams and book.streams_of(owner) >= most:
+            raise ProblemError("over-quota", f"at most {most} streams of a key", retry_after_s=1.0)
         if book.streams() >= settings.max_streams:
             raise ProblemError("at-capacity", "no room for another stream", retry_after_s=1.0)
 

@@ -19,6 +19,11 @@ class FairQueue(Generic[T]):
     def __len__(self) -> int:
         return sum(len(items) for items in self._waiting.values())
 
+    @property
+    def known(self) -> bool:
+        """Whether any key has been seen and not forgotten."""
+        return bool(self._used)
+
     def push(self, key: str, item: T) -> None:
         """Queue ``item`` behind those of the same key."""
         if key not in self._waiting:
@@ -32,11 +37,15 @@ class FairQueue(Generic[T]):
             return None
         key = min(self._waiting, key=self._used.__getitem__)
         self._now = self._used[key]
+        return key, self.take(key)
+
+    def take(self, key: str) -> T:
+        """The first item of ``key``, out of turn."""
         items = self._waiting[key]
         item = items.popleft()
         if not items:
             del self._waiting[key]
-        return key, item
+        return item
 
     def charge(self, key: str, seconds: float) -> None:
         """Count time that ``key`` has used."""
@@ -47,3 +56,44 @@ class FairQueue(Generic[T]):
         """Drop ``key``; its items that never had their turn."""
         self._used.pop(key, None)
         return list(self._waiting.pop(key, ()))
+
+
+class FairTurns(Generic[T]):
+    """Items by owner and key: time is shared fairly between owners, and an owner's share between its keys."""
+
+    def __init__(self) -> None:
+        self._owners: FairQueue[None] = FairQueue()  # one entry for each item of the owner
+        self._keys: dict[str, FairQueue[T]] = {}
+
+    def push(self, owner: str, key: str, item: T) -> None:
+        """Queue ``item`` behind those of the same key."""
+        self._owners.push(owner, None)
+        self._keys.setdefault(owner, FairQueue()).push(key, item)
+
+    def pop(self) -> T | None:
+        """The next item, if any waits."""
+        turn = self._owners.pop()
+        if turn is None:
+            return None
+        found = self._keys[turn[0]].pop()
+        assert found is not None
+        return found[1]
+
+    def charge(self, owner: str, key: str, seconds: float) -> None:
+        """Count time that ``key`` of ``owner`` has used."""
+        self._owners.charge(owner, seconds)
+        if owner in self._keys:
+            self._keys[owner].charge(key, seconds)
+
+    def forget(self, owner: str, key: str) -> list[T]:
+        """Drop ``key``, and ``owner`` with its last one; the items that never had their turn."""
+        if owner not in self._keys:
+            return []
+        keys = self._keys[owner]
+        items = keys.forget(key)
+        for _ in items:
+            self._owners.take(owner)
+        if not keys.known:
+            del self._keys[owner]
+            self._owners.forget(owner)
+        return items

@@ -51,7 +51,15 @@ class LaneReady:
     confined: tuple[str, ...] = ()
 
 
-LaneEvent = KeysLost | LaneReady
+@dataclass(frozen=True, slots=True)
+class LaneCrowded:
+    """An event: ``key`` would go on better in ``lane``, which has time to spare when its own has not."""
+
+    key: str
+    lane: int
+
+
+LaneEvent = KeysLost | LaneReady | LaneCrowded
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +83,10 @@ class LaneUsage:
 
 
 class Lanes(Protocol):
-    """A set of lanes; a key (a session) lives in one of them from ``reserve`` to ``release``."""
+    """A set of lanes; a key (a session) lives in one of them from ``reserve`` to ``release``.
+
+    Keys have an owner: lanes share their time between owners first, then between the keys of one.
+    """
 
     async def start(self) -> None:
         """Begin to start all lanes; events tell when they are ready."""
@@ -83,10 +94,13 @@ class Lanes(Protocol):
     async def stop(self) -> None:
         """End all lanes."""
 
-    def reserve(self, key: str) -> None:
-        """Give ``key`` a place in the lane with the most room, now or never. Raises AtCapacity."""
+    def reserve(self, key: str, owner: str) -> None:
+        """Give ``key`` a place in the lane with the most time to spare, now or never. Raises AtCapacity."""
 
-    async def regain(self, key: str) -> Place:
+    def move(self, key: str, lane: int) -> bool:
+        """Give ``key`` a place in that lane instead; its own forgets it. False, and nothing done, without room."""
+
+    async def regain(self, key: str, owner: str) -> Place:
         """Give ``key``, whose lane was lost, a place again, when there is one. Raises LaneLost if it is released."""
 
     def holds(self, key: str) -> bool:
@@ -95,7 +109,7 @@ class Lanes(Protocol):
     async def call(self, key: str, request: Buffers) -> bytes | memoryview:
         """One operation in the key's lane: a MessagePack value there and one back, in the order of calls.
 
-        Raises LaneLost. Calls of different keys of a lane share its time fairly.
+        Raises LaneLost. Calls of different owners, and of different keys of one, share a lane's time fairly.
         """
 
     def release(self, key: str) -> None:

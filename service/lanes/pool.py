@@ -6,16 +6,29 @@ import asyncio
 import atexit
 import contextlib
 import multiprocessing
-import os
-from collections.abc import AsyncIterator, Iterator, Mapping
+import time
+from collections.abc import AsyncIterator, Mapping
 from multiprocessing import forkserver
 from typing import Any
 
-from .interface import AtCapacity, Buffers, KeysLost, LaneEvent, LaneLost, LaneReady, LaneStatus, LaneUsage, Place
+from .balance import Lately, Mover
+from .interface import (
+    AtCapacity,
+    Buffers,
+    KeysLost,
+    LaneCrowded,
+    LaneEvent,
+    LaneLost,
+    LaneReady,
+    LaneStatus,
+    LaneUsage,
+    Place,
+)
 from .process import LaneProcess
 from .usage import cpu_s, rss_bytes
 
 WATCH_EVERY_S = 0.1
+BALANCE_EVERY_S = 0.5
 STOP_S = 2.0
 # A lane that lives shorter than this crashes in a row with the one before. The first two are replaced at
 # once; from then on each doubles the wait.
@@ -42,6 +55,8 @@ class LanePool:
         self._deadline_s = deadline_s
         self._start_timeout_s = start_timeout_s
         self._max_rss_bytes = max_rss_bytes
+        self._lately = Lately(time.monotonic())
+        self._mover = Mover()
         self._lanes: list[LaneProcess] = [self._new(number) for number in range(count)]
         self._crashes = [0] * count
         self._homes: dict[str, LaneProcess] = {}
@@ -56,14 +71,12 @@ class LanePool:
     async def start(self) -> None:
         """Begin to start all lanes."""
         self._context.set_forkserver_preload(["service.lanes.forkserver"])
-        # Here, because the fork server dies with the thread that starts it (see orphans).
-        with _without_secrets():
-            forkserver.ensure_running()
         # Without this an interpreter that ends without stop() would wait for its workers for ever.
         atexit.register(self._kill_all)
         for lane in self._lanes:
             self._spawn(self._begin(lane))
         self._spawn(self._watch())
+        self._spawn(self._balance())
 
     async def stop(self) -> None:
         """End all lanes."""
@@ -74,14 +87,25 @@ class LanePool:
         await asyncio.gather(*(lane.stop(STOP_S) for lane in self._lanes))
         atexit.unregister(self._kill_all)
 
-    def reserve(self, key: str) -> None:
-        """Give ``key`` a place in the emptiest lane. Raises AtCapacity."""
-        lane = self._roomiest()
+    def reserve(self, key: str, owner: str) -> None:
+        """Give ``key`` a place in the lane with the most time to spare. Raises AtCapacity."""
+        lane = self._idlest()
         if lane is None:
             raise AtCapacity
-        self._settle(key, lane)
+        self._settle(key, owner, lane)
 
-    async def regain(self, key: str) -> Place:
+    def move(self, key: str, lane: int) -> bool:
+        """Give ``key`` a place in that lane, if it has one to give."""
+        before, after = self._homes.get(key), self._lanes[lane]
+        if before is None or before is after or after not in self._with_room():
+            return False
+        owner = before.keys[key]
+        before.forget(key)
+        self._settle(key, owner, after)
+        self._changed.set()
+        return True
+
+    async def regain(self, key: str, owner: str) -> Place:
         """A place again for a key whose lane was lost, or that comes from another process. Raises LaneLost.
 
         The place is kept in the lane that takes the lost one's place, so that load stays spread; only if
@@ -89,17 +113,17 @@ class LanePool:
         """
         if key in self._homes:
             return Place(self._homes[key].number, "")
-        load = self._load()
-        self._displaced.setdefault(key, (min(range(len(self._lanes)), key=load.__getitem__), "restart"))
+        work = self._work()
+        self._displaced.setdefault(key, (min(range(len(self._lanes)), key=work.__getitem__), "restart"))
         while True:
             number, cause = self._displaced[key]
             lane: LaneProcess | None = self._lanes[number]
             if not (lane and lane.ready and len(lane.keys) < self._keys_per_lane):
                 full = self._load()[number] > self._keys_per_lane
-                lane = self._roomiest() if full or self._failing(number) else None
+                lane = self._idlest() if full or self._failing(number) else None
             if lane is not None:
                 del self._displaced[key]
-                self._settle(key, lane)
+                self._settle(key, owner, lane)
                 return Place(lane.number, cause)
             self._changed.clear()
             await self._changed.wait()
@@ -121,6 +145,7 @@ class LanePool:
         """Free the key's place."""
         lane = self._homes.pop(key, None)
         self._displaced.pop(key, None)
+        self._lately.forget(key)
         if lane is not None:
             lane.forget(key)
         self._changed.set()
@@ -148,14 +173,30 @@ class LanePool:
             load[number] += 1
         return load
 
-    def _roomiest(self) -> LaneProcess | None:
-        """The emptiest of the lanes that are ready and have room."""
-        load = self._load()
-        ready = [lane for lane in self._lanes if lane.ready and load[lane.number] < self._keys_per_lane]
-        return min(ready, key=lambda lane: load[lane.number], default=None)
+    def _work(self) -> list[float]:
+        """What each lane has to do: of each of its keys what it has used lately, and half its part at least.
 
-    def _settle(self, key: str, lane: LaneProcess) -> None:
-        lane.keys.add(key)
+        The part of a key that has not begun, or pauses, is that of a place.
+        """
+        least = 0.5 / self._keys_per_lane
+        work = [least * keys for keys in self._load()]
+        for key, part in self._lately.parts():
+            if key in self._homes:
+                work[self._homes[key].number] += max(0.0, part - least)
+        return work
+
+    def _with_room(self) -> list[LaneProcess]:
+        """The lanes that are ready and have a place that nobody waits for."""
+        load = self._load()
+        return [lane for lane in self._lanes if lane.ready and load[lane.number] < self._keys_per_lane]
+
+    def _idlest(self) -> LaneProcess | None:
+        """The lane with room that has the least to do."""
+        work = self._work()
+        return min(self._with_room(), key=lambda lane: work[lane.number], default=None)
+
+    def _settle(self, key: str, owner: str, lane: LaneProcess) -> None:
+        lane.keys[key] = owner
         self._homes[key] = lane
 
     def _failing(self, number: int) -> bool:
@@ -164,7 +205,7 @@ class LanePool:
         return self._crashes[number] > PATIENCE and not (lane.ready and lane.lasted_s() > STEADY_S)
 
     def _new(self, number: int) -> LaneProcess:
-        return LaneProcess(number, on_ready=self._ready, on_lost=self._lost)
+        return LaneProcess(number, on_ready=self._ready, on_lost=self._lost, on_used=self._lately.add)
 
     def _spawn(self, work: Any) -> None:
         task = asyncio.get_running_loop().create_task(work)
@@ -174,6 +215,8 @@ class LanePool:
     async def _begin(self, lane: LaneProcess, wait_s: float = 0.0) -> None:
         await asyncio.sleep(wait_s)
         try:
+            # Here, because the fork server dies with the thread that starts it (see orphans).
+            forkserver.ensure_running()
             await lane.start(self._context, self._config)
         except (OSError, EOFError):
             lane.kill()
@@ -210,17 +253,21 @@ class LanePool:
                 elif lane.pid and not lane.ready and lane.lasted_s() > self._start_timeout_s:
                     lane.kill()
 
+    async def _balance(self) -> None:
+        """Say which key should move while one lane is full and another idle."""
+        while True:
+            await asyncio.sleep(BALANCE_EVERY_S)
+            now = time.monotonic()
+            self._lately.look(now)
+            parts: list[dict[str, float]] = [{} for _ in self._lanes]
+            for key, part in self._lately.parts():
+                if key in self._homes:
+                    parts[self._homes[key].number][key] = part
+            room = [lane.number for lane in self._with_room() if not self._failing(lane.number)]
+            if (chosen := self._mover.choose(parts, room, now)) is not None:
+                self._events.put_nowait(LaneCrowded(*chosen))
+
     def _kill_all(self) -> None:
         for lane in self._lanes:
             with contextlib.suppress(OSError):
                 lane.kill()
-
-
-@contextlib.contextmanager
-def _without_secrets() -> Iterator[None]:
-    """The fork server and its lanes inherit no settings, and so no keys."""
-    kept = {name: os.environ.pop(name) for name in list(os.environ) if name.startswith("MFCMT_")}
-    try:
-        yield
-    finally:
-        os.environ.update(kept)

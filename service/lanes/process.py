@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import struct
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -14,18 +15,24 @@ from typing import Any, cast
 import msgpack
 
 from . import worker
-from .fair import FairQueue
+from .fair import FairTurns
 from .interface import Buffers, LaneLost
-from .wire import HELLO, NO_REPLY, Disorder, Splitter, encode_call, framed
+from .wire import HELLO, NO_REPLY, TOOK, Disorder, Splitter, encode_call, framed
 
-# While the lane works on one call the next is already in its socket, so that it never waits for the front.
+# While the lane works on a short call the next is already in its socket, so that it never waits for the front.
 PIPELINE = 2
+# Behind a longer one nothing is sent: who comes next is decided when it is done, and the hand-over costs little
+# beside it. A call is taken to be as long as the longest of its key lately, in processor time, and long where
+# nothing is known.
+SHORT_S, SHORT_BYTES = 0.01, 512 * 1024
+FORGOTTEN = 0.7
 
 
 @dataclass(slots=True)
 class Call:
     """An operation on its way."""
 
+    owner: str
     key: str
     request: Buffers
     answer: asyncio.Future[bytes | memoryview]
@@ -40,9 +47,10 @@ class LaneProcess(asyncio.Protocol):
         *,
         on_ready: Callable[[LaneProcess], None],
         on_lost: Callable[[LaneProcess, str], None],
+        on_used: Callable[[str, float], None],
     ) -> None:
         self.number = number
-        self.keys: set[str] = set()
+        self.keys: dict[str, str] = {}  # and their owners
         self.ready = False
         self.lost = False
         self.versions: dict[str, str] = {}
@@ -50,7 +58,9 @@ class LaneProcess(asyncio.Protocol):
         self.since = time.monotonic()
         self._on_ready = on_ready
         self._on_lost = on_lost
-        self._queue: FairQueue[Call] = FairQueue()
+        self._on_used = on_used
+        self._queue: FairTurns[Call] = FairTurns()
+        self._expected: dict[str, float] = {}
         self._in_flight: deque[tuple[int, Call]] = deque()
         self._working_since = 0.0
         self._cause = "died"
@@ -87,14 +97,15 @@ class LaneProcess(asyncio.Protocol):
         if self.lost:
             answer.set_exception(LaneLost(self._cause))
         else:
-            self._queue.push(key, Call(key, request, answer))
+            owner = self.keys[key]
+            self._queue.push(owner, key, Call(owner, key, request, answer))
             self._dispatch()
         return answer
 
     def forget(self, key: str) -> None:
         """Drop what the lane holds for ``key``, behind the operation that is in work."""
-        self.keys.discard(key)
-        for call in self._queue.forget(key):
+        self._expected.pop(key, None)
+        for call in self._queue.forget(self.keys.pop(key), key):
             _fail(call, LaneLost("released"))
         if self._transport is not None and not self.lost:
             self._transport.writelines(framed(NO_REPLY, encode_call("drop", key, {})))
@@ -130,10 +141,11 @@ class LaneProcess(asyncio.Protocol):
         try:
             for call, payload in self._splitter.feed(data):
                 if call == HELLO:
-                    self._hello(payload)
+                    self._hello(payload[TOOK.size :])
                 else:
-                    self._reply(call, payload)
-        except (Disorder, ValueError):
+                    (took,) = TOOK.unpack_from(payload)
+                    self._reply(call, took, payload[TOOK.size :])
+        except (Disorder, ValueError, struct.error):
             self.kill()
 
     def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002
@@ -142,8 +154,8 @@ class LaneProcess(asyncio.Protocol):
         calls = [call for _, call in self._in_flight]
         if calls:
             _fail(calls.pop(0), LaneLost(self._cause, in_work=True))
-        for key in list(self.keys):
-            calls += self._queue.forget(key)
+        for key, owner in self.keys.items():
+            calls += self._queue.forget(owner, key)
         for call in calls:
             _fail(call, LaneLost(self._cause))
         self._in_flight.clear()
@@ -156,21 +168,24 @@ class LaneProcess(asyncio.Protocol):
         self.since = time.monotonic()
         self._on_ready(self)
 
-    def _reply(self, number: int, payload: bytes | memoryview) -> None:
+    def _reply(self, number: int, took: float, payload: bytes | memoryview) -> None:
         if not self._in_flight or self._in_flight[0][0] != number:
             raise Disorder("a reply out of order")
         _, call = self._in_flight.popleft()
         now = time.monotonic()
-        self._queue.charge(call.key, now - self._working_since)
+        used = now - self._working_since
         self._working_since = now
+        if call.key in self.keys:
+            self._expected[call.key] = max(took, FORGOTTEN * self._expected.get(call.key, 0.0))
+            self._on_used(call.key, used)
+        self._queue.charge(call.owner, call.key, used)
         if not call.answer.done():
             call.answer.set_result(payload)
         self._dispatch()
 
     def _dispatch(self) -> None:
         assert self._transport is not None
-        while len(self._in_flight) < PIPELINE and (turn := self._queue.pop()) is not None:
-            _, call = turn
+        while self._takes_more() and (call := self._queue.pop()) is not None:
             if call.answer.done():
                 continue
             if not self._in_flight:
@@ -178,6 +193,17 @@ class LaneProcess(asyncio.Protocol):
             self._calls = self._calls % 0xFFFFFFFF + 1
             self._in_flight.append((self._calls, call))
             self._transport.writelines(framed(self._calls, call.request))
+
+    def _takes_more(self) -> bool:
+        """Whether another call may be sent: nothing is in work, or one that will not take long."""
+        if not self._in_flight:
+            return True
+        _, call = self._in_flight[-1]
+        return (
+            len(self._in_flight) < PIPELINE
+            and self._expected.get(call.key, SHORT_S) < SHORT_S
+            and len(call.request[-1]) <= SHORT_BYTES
+        )
 
 
 def _fail(call: Call, error: Exception) -> None:

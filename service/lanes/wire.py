@@ -1,7 +1,8 @@
 """Between front and lane: length-prefixed MessagePack over a socket pair, no copy of a frame on the way out.
 
 A message is ``length: u32, call: u32, payload``; the payload of a call is the array ``[op, key, args,
-data]``, of a reply ``[code, value]`` with a code of the problem catalogue or nil. Call 0 wants no reply.
+data]``, of a reply ``took: f32``, the processor time of the operation in seconds, and ``[code, value]`` with
+a code of the problem catalogue or nil. Call 0 wants no reply.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import msgpack
 from .interface import Buffers
 
 HEAD = struct.Struct(">II")
+TOOK = struct.Struct(">f")
 BIN32 = struct.Struct(">BI")
 MAX_MESSAGE_BYTES = 1 << 30
 HELLO, NO_REPLY = 0, 0
@@ -108,9 +110,9 @@ class BlockingWire:
         self._fill(payload)
         return call, payload
 
-    def send(self, call: int, payload: bytes) -> None:
-        """Send one message."""
-        self._sock.sendall(HEAD.pack(len(payload), call) + payload)
+    def send(self, call: int, payload: bytes, took: float = 0.0) -> None:
+        """Send one reply."""
+        self._sock.sendall(HEAD.pack(TOOK.size + len(payload), call) + TOOK.pack(took) + payload)
 
     def _fill(self, view: memoryview) -> None:
         while view:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import traceback
+from time import process_time
 from typing import Any
 
 import msgpack
@@ -30,6 +31,7 @@ def main(sock: socket.socket, config: dict[str, Any]) -> None:
         wire.send(HELLO, msgpack.packb(hello))
         while True:
             call, payload = wire.receive()
+            began = process_time()
             try:
                 reply = encode_reply(None, store.handle(*decode_call(payload)))
             except Refused as refused:
@@ -38,4 +40,4 @@ def main(sock: socket.socket, config: dict[str, Any]) -> None:
                 # Where it happened is for the front's log, never for the client.
                 reply = encode_reply("internal", [traceback.format_exc(), {}])
             if call != NO_REPLY:
-                wire.send(call, reply)
+                wire.send(call, reply, process_time() - began)

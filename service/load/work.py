@@ -81,7 +81,7 @@ async def _lane_rates(clip: Clip, count: int, seconds: float) -> list[float]:
             assert isinstance(await anext(events), LaneReady)
         keys = [f"lane-{number}" for number in range(count)]
         for key in keys:
-            pool.reserve(key)
+            pool.reserve(key, "load")
         return list(await asyncio.gather(*(_busy(pool, key, clip, seconds) for key in keys)))
     finally:
         await pool.stop()

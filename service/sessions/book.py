@@ -13,7 +13,7 @@ from datetime import UTC, datetime, timedelta
 
 import structlog
 
-from ..lanes.interface import AtCapacity, KeysLost, Lanes
+from ..lanes.interface import AtCapacity, KeysLost, LaneCrowded, Lanes
 from ..observability.metrics import Metrics
 from ..problems import ProblemError, session_gone, session_not_found
 from ..settings import Settings
@@ -21,6 +21,7 @@ from .idempotency import Creations
 from .keeper import Keeper, created_at_of, options_of
 from .memory import Memory
 from .session import Attachment, Options, Session
+from .shares import Shares
 
 SWEEP_EVERY_S = 0.5
 ID_BYTES = 18
@@ -40,12 +41,21 @@ class Tombstone:
 
 
 class SessionBook:
-    """All sessions of the service. ``clock`` gives seconds of a monotonic clock."""
+    """All sessions of the service.
+
+    ``clock`` gives seconds of a monotonic clock, ``owners`` how many there are that keys stand for.
+    """
 
     def __init__(
-        self, settings: Settings, lanes: Lanes, metrics: Metrics, clock: Callable[[], float] = time.monotonic
+        self,
+        settings: Settings,
+        lanes: Lanes,
+        metrics: Metrics,
+        clock: Callable[[], float] = time.monotonic,
+        owners: Callable[[], int] = lambda: 1,
     ) -> None:
         self.draining = False
+        self.shares = Shares(settings, owners)
         self._settings, self._lanes, self._metrics, self._clock = settings, lanes, metrics, clock
         self.keeper = Keeper(settings, lanes, metrics)
         self._sessions: dict[str, Session] = {}
@@ -185,9 +195,13 @@ class SessionBook:
             self.sweep()
 
     async def follow_lanes(self) -> None:
-        """Restore the sessions of lanes that die, for as long as the service runs."""
+        """Restore the sessions of lanes that die, and move those of full ones, for as long as the service runs."""
         self._revive_lost()
         async for event in self._lanes.events():
+            if isinstance(event, LaneCrowded):
+                if event.key in self._sessions:
+                    self._sessions[event.key].move(event.lane)
+                continue
             if isinstance(event, KeysLost):
                 self._metrics.lane_restarts.labels(cause=event.cause).inc()
                 log.error("lane lost", lane=event.lane, cause=event.cause, sessions=len(event.keys))
@@ -210,11 +224,11 @@ class SessionBook:
             raise self._unavailable("at-capacity", 1.0, "no memory for another session")
         sid = secrets.token_urlsafe(ID_BYTES)
         try:
-            self._lanes.reserve(sid)
+            self._lanes.reserve(sid, owner)
         except AtCapacity:
             self.sweep()
             try:
-                self._lanes.reserve(sid)
+                self._lanes.reserve(sid, owner)
             except AtCapacity:
                 raise self._unavailable("at-capacity", 1.0) from None
         self._opening[owner] += 1
@@ -226,7 +240,7 @@ class SessionBook:
             sid,
             owner,
             options,
-            self.keeper.lane_state(sid),
+            self.keeper.lane_state(sid, owner),
             on_safe=self.keeper.safe,
             on_poison=lambda session, detail: self._end(session, "lost", detail),
             ordinal=self._ordinal,
@@ -255,7 +269,9 @@ class SessionBook:
 
     def _check_quota(self, owner: str) -> None:
         """Raises over-quota for a key with as many sessions as it may have, those included that begin."""
-        most = self._settings.max_sessions_per_key
+        most = self.shares.sessions
+        if most >= self._settings.capacity:
+            return  # there is no place beyond it anyway
         for expired_went in (False, True):
             if self._opening[owner] + sum(s.owner == owner for s in self._sessions.values()) < most:
                 return

@@ -38,9 +38,9 @@ class Keeper:
         """Whether sessions outlive the process."""
         return self._vault is not None
 
-    def lane_state(self, sid: str) -> LaneState:
+    def lane_state(self, sid: str, owner: str) -> LaneState:
         """The lane side of a new session."""
-        return LaneState(sid, self._lanes, self._turns, self.budget, self._settings, self._metrics)
+        return LaneState(sid, owner, self._lanes, self._turns, self.budget, self._settings, self._metrics)
 
     def open(self) -> None:
         """Open the state directory, where there is one. Raises BadState."""

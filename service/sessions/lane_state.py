@@ -49,11 +49,18 @@ class LaneState:
     """
 
     def __init__(
-        self, key: str, lanes: Lanes, turns: Turns, budget: Budget, settings: Settings, metrics: Metrics
+        self,
+        key: str,
+        owner: str,
+        lanes: Lanes,
+        turns: Turns,
+        budget: Budget,
+        settings: Settings,
+        metrics: Metrics,
     ) -> None:
         self.journal = Journal(budget)
         self._turns = turns
-        self._key, self._lanes, self._budget = key, lanes, budget
+        self._key, self._owner, self._lanes, self._budget = key, owner, lanes, budget
         self._settings, self._metrics = settings, metrics
         self._suspect: Operation | None = None
         self._torn = False
@@ -105,26 +112,41 @@ class LaneState:
         self._due_frames = self._every
         self._metrics.checkpoint(reason, len(value), time.monotonic() - started)
 
+    async def move(self, lane: int) -> None:
+        """Go on in another lane from the newest checkpoint, if there is room for it."""
+        if not self._lanes.move(self._key, lane):
+            return
+        started, frames = time.monotonic(), len(self.journal.since)
+        self._torn = True  # until it is there: broken off, the move is made up for by the next operation
+        await self._restore()
+        self._torn = False
+        self._metrics.moves.inc()
+        seconds = round(time.monotonic() - started, 4)
+        log.info("session moved", session=self._key, lane=lane, frames=frames, seconds=seconds)
+
     async def recover(self, cause: str = "") -> None:
         """Restore the state in a lane, as soon as one is ready; ``cause`` is told where no lane was lost."""
         started = time.monotonic()
+        cause = await self._restore() or cause
+        if self.journal.base is not None:
+            seconds, frames = time.monotonic() - started, len(self.journal.since)
+            self._metrics.recovered(cause, frames, seconds)
+            log.info("session restored", session=self._key, cause=cause, frames=frames, seconds=round(seconds, 4))
+
+    async def _restore(self) -> str:
+        """Make the state again in the lane that has a place for it; what became of its lane before, if it was lost."""
         while True:
             try:
                 async with asyncio.timeout(self._settings.recovery_timeout_s):
-                    place = await self._lanes.regain(self._key)
-                cause = place.cause or cause
+                    place = await self._lanes.regain(self._key, self._owner)
                 async with self._turns[place.lane]:
                     await self._replay()
-                break
+                return place.cause
             except TimeoutError:
                 raise ProblemError("at-capacity", "no lane is ready for the session", retry_after_s=1.0) from None
             except LaneLost as lost:
                 if lost.cause == "released":
                     raise
-        if self.journal.base is not None:
-            seconds, frames = time.monotonic() - started, len(self.journal.since)
-            self._metrics.recovered(cause, frames, seconds)
-            log.info("session restored", session=self._key, cause=cause, frames=frames, seconds=round(seconds, 4))
 
     async def _mend(self) -> None:
         """If it is not sure what the last operation has done, go back to before it."""

@@ -226,6 +226,10 @@ class Session:
             self._reviving = True
             self._later(self._revive())
 
+    def move(self, lane: int) -> None:
+        """Have the session go on in another lane, between two frames; they wait meanwhile."""
+        self._later(self._move(lane))
+
     async def park(self) -> None:
         """Finish what is in work and keep the state as it is then. Raises as every operation."""
         if self._restoring and not self.lane.journal.since:
@@ -274,6 +278,15 @@ class Session:
         finally:
             self._reviving = self._restoring = False
             self.touch()
+
+    async def _move(self, lane: int) -> None:
+        try:
+            async with self._turn:
+                if not self.ended and self.lane.held:
+                    await self._keep("move")
+                    await self._guarded(self.lane.move(lane))
+        except ProblemError as refused:
+            log.warning("session not moved", session=self.id, lane=lane, code=refused.code)
 
     async def _keep(self, reason: str) -> None:
         await self._guarded(self.lane.checkpoint(reason))

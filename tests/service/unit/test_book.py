@@ -16,6 +16,7 @@ from service.observability.metrics import Metrics
 from service.problems import ProblemError
 from service.sessions.book import SessionBook
 from service.sessions.session import Frame, Options, Session
+from service.sessions.shares import Shares
 from service.settings import Settings
 
 ROW = [0, [1.0, 2.0, 3.0, 4.0], "tracking", None, None, None, None, True, 1.0]
@@ -35,14 +36,17 @@ class Lanes:
 
     async def stop(self) -> None: ...
 
-    def reserve(self, key: str) -> None:
+    def reserve(self, key: str, owner: str) -> None:
         if len(self.keys) >= self.places:
             raise AtCapacity
         self.keys.add(key)
 
-    async def regain(self, key: str) -> Place:
+    def move(self, key: str, lane: int) -> bool:
+        return False
+
+    async def regain(self, key: str, owner: str) -> Place:
         await asyncio.sleep(0)
-        self.reserve(key)
+        self.reserve(key, owner)
         return Place(0, "died")
 
     def holds(self, key: str) -> bool:
@@ -227,13 +231,34 @@ async def test_a_lane_that_dies_under_a_creation_is_made_up_for() -> None:
     world = World()
     reserve = world.lanes.reserve
 
-    def lose(key: str) -> None:
+    def lose(key: str, owner: str) -> None:
         world.lanes.reserve = reserve  # type: ignore[method-assign]
 
     world.lanes.reserve = lose  # type: ignore[method-assign]
     session = await world.create()
     assert world.book.find("me", session.id) is session
     assert world.lanes.keys == {session.id}
+
+
+async def test_one_key_leaves_half_of_the_places_to_the_others() -> None:
+    """As soon as there are others; what is set goes before it."""
+    owners = 1
+    world = World(places=8, lanes=2, max_sessions_per_lane=4)
+    book = world.book = SessionBook(world.settings, world.lanes, Metrics(), lambda: world.now, lambda: owners)
+    made = [await world.create() for _ in range(8)]
+    assert (book.shares.sessions, book.shares.streams) == (8, world.settings.max_streams)
+    owners = 2
+    assert (book.shares.sessions, book.shares.streams) == (4, world.settings.max_streams // 2)
+    for session in made[:4]:
+        book.close("me", session.id)
+    with pytest.raises(ProblemError, match="over-quota: at most 4 sessions"):
+        await world.create()
+    for _ in range(4):
+        await world.create("other")
+    tight = Settings(lanes=1, max_sessions_per_lane=1)
+    assert Shares(tight, lambda: 5).sessions == 1
+    chosen = Settings(max_sessions_per_key=3, max_streams_per_key=2)
+    assert (Shares(chosen, lambda: 5).sessions, Shares(chosen, lambda: 1).streams) == (3, 2)
 
 
 async def test_pages_go_on_where_they_ended() -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from service.lanes.cores import usable_cores
-from service.lanes.fair import FairQueue
+from service.lanes.fair import FairQueue, FairTurns
 from service.lanes.wire import Disorder, Splitter, decode_call, encode_call, framed
 from service.problems import ProblemError
 from service.sessions.bucket import Bucket
@@ -63,6 +64,37 @@ def test_a_forgotten_key_leaves_what_waited() -> None:
     assert queue.pop() is None
     queue.charge("a", 1.0)
     assert len(queue) == 0
+
+
+def test_owners_share_a_lane_whatever_the_number_of_their_sessions() -> None:
+    turns: FairTurns[tuple[str, str]] = FairTurns()
+    keys = [("many", f"m{n}") for n in range(5)] + [("one", "o")]
+    for owner, key in keys * 40:
+        turns.push(owner, key, (owner, key))
+    served: Counter[tuple[str, str]] = Counter()
+    for _ in range(60):
+        turn = turns.pop()
+        assert turn is not None
+        served[turn] += 1
+        turns.charge(*turn, 0.004)
+    assert served["one", "o"] == 30
+    assert {served[key] for key in keys[:5]} == {6}
+
+
+def test_an_owner_is_forgotten_with_its_last_session() -> None:
+    turns: FairTurns[str] = FairTurns()
+    turns.push("a", "first", "1")
+    turns.push("a", "second", "2")
+    turns.push("b", "third", "3")
+    assert turns.forget("a", "first") == ["1"]
+    turns.charge("a", "first", 1.0)  # it was in work
+    assert turns.pop() == "3"
+    assert turns.forget("a", "second") == ["2"]
+    assert turns.forget("a", "second") == []
+    assert turns.pop() is None
+    turns.charge("a", "second", 1.0)
+    turns.push("a", "second", "4")
+    assert turns.pop() == "4"
 
 
 def frame(seq: int) -> Frame:

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from prometheus_client import generate_latest
 
-from service.lanes.interface import AtCapacity, Buffers, LaneLost, Place
+from service.lanes.interface import AtCapacity, Buffers, LaneCrowded, LaneLost, Place
 from service.lanes.pool import LanePool
 from service.lanes.process import LaneProcess
 from service.lanes.wire import Splitter, decode_call, decode_reply, encode_reply, framed
@@ -169,6 +169,57 @@ async def test_the_same_frame_twice_is_poison_other_deaths_are_not() -> None:
     assert world.book.find("me", other.id) is other
 
 
+class Two(Recording):
+    """Two lanes, each with places; which one has a key."""
+
+    def __init__(self, places: int) -> None:
+        super().__init__(places)
+        self.lane: dict[str, int] = {}
+
+    def move(self, key: str, lane: int) -> bool:
+        if self.lane.get(key, 0) == lane or lane > 1:
+            return False
+        self.lane[key] = lane
+        return True
+
+    async def regain(self, key: str, owner: str) -> Place:
+        if key in self.keys:
+            return Place(self.lane.get(key, 0), "")
+        return await super().regain(key, owner)
+
+
+async def test_a_session_moves_from_a_checkpoint_between_two_frames() -> None:
+    """What waits comes after it; a lane that dies meanwhile is made up for as ever."""
+    world = Keeping(checkpoint_every_frames=100)
+    world.lanes = world.book._lanes = world.book.keeper._lanes = Two(2)
+    session = await world.create()
+    session.lane._due_frames = 100
+    follower = asyncio.create_task(world.book.follow_lanes())
+    await world.track(session)
+    world.lanes.ops.clear()
+    world.lanes.lost.put_nowait(LaneCrowded(session.id, 1))
+    world.lanes.lost.put_nowait(LaneCrowded("ended meanwhile", 1))
+    await asyncio.sleep(0)
+    assert await asyncio.gather(*(world.track(session) for _ in range(3))) == [2, 3, 4]
+    assert [op for op, _ in world.lanes.ops] in (
+        ["checkpoint", "revive", "track", "track", "track"],
+        ["track", "checkpoint", "revive", "track", "track"],
+    )
+    assert b"mfcmt_session_moves_total 1.0" in text(world.metrics)
+    world.lanes.ops.clear()
+    world.lanes.lost.put_nowait(LaneCrowded(session.id, 2))  # no room
+    await asyncio.sleep(0.01)
+    assert [op for op, _ in world.lanes.ops] == ["checkpoint"]
+    world.lanes.ops.clear()
+    world.lanes.deaths = [("died", True)]
+    world.lanes.lost.put_nowait(LaneCrowded(session.id, 0))
+    await asyncio.sleep(0.01)
+    assert await world.track(session) == 5
+    assert [op for op, _ in world.lanes.ops] == ["checkpoint", "revive", "checkpoint", "revive", "track"]
+    assert b"mfcmt_session_moves_total 2.0" in text(world.metrics)
+    follower.cancel()
+
+
 async def test_an_operation_that_is_broken_off_has_not_happened() -> None:
     world = Keeping(checkpoint_every_frames=100)
     session = await world.create()
@@ -189,7 +240,7 @@ async def test_a_session_without_a_lane_refuses_in_time_and_stays() -> None:
     world.lanes.keys.clear()
     regain = world.lanes.regain
 
-    async def never(key: str) -> Place:
+    async def never(key: str, owner: str) -> Place:
         await asyncio.sleep(60)
         raise AtCapacity
 
@@ -219,17 +270,17 @@ async def test_the_places_of_the_lost_are_kept() -> None:
     for lane in pool._lanes:
         lane.ready = True
     for key in "abcd":
-        pool.reserve(key)
+        pool.reserve(key, "me")
     lost = pool._homes["a"]
     assert sorted(lost.keys) == ["a", "c"]
     began: list[LaneProcess] = []
     pool._begin = lambda lane, wait_s=0.0: _noted(began, lane)  # type: ignore[method-assign,assignment]
     lost.lost, lost.ready = True, False
     pool._lost(lost, "died")
-    waiting = [asyncio.create_task(pool.regain(key)) for key in "ac"]
-    pool.reserve("e")
+    waiting = [asyncio.create_task(pool.regain(key, "me")) for key in "ac"]
+    pool.reserve("e", "me")
     with pytest.raises(AtCapacity):
-        pool.reserve("f")
+        pool.reserve("f", "me")
     await asyncio.sleep(0)
     fresh = pool._lanes[lost.number]
     assert began == [fresh]
@@ -238,15 +289,15 @@ async def test_the_places_of_the_lost_are_kept() -> None:
     pool._ready(fresh)
     assert await asyncio.gather(*waiting) == [Place(fresh.number, "died")] * 2
     assert sorted(fresh.keys) == ["a", "c"]
-    pool.reserve("f")
+    pool.reserve("f", "me")
     pool.release("e")
     for _ in range(4):  # keeps dying
         pool._lanes[fresh.number].ready = False
         pool._lost(pool._lanes[fresh.number], "died")
     assert pool.status()[fresh.number].failing
-    assert (await pool.regain("a")).cause == "died"
+    assert (await pool.regain("a", "me")).cause == "died"
     assert pool._homes["a"] is not pool._lanes[fresh.number]
-    gone = asyncio.create_task(pool.regain("c"))
+    gone = asyncio.create_task(pool.regain("c", "me"))
     await asyncio.sleep(0)
     pool.release("c")
     with pytest.raises(LaneLost, match="released"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
@@ -9,15 +10,17 @@ import pytest
 from pydantic import ValidationError
 
 from mfcmt_core.cli import main
+from service import environment
+from service.app import local_lanes
 from service.auth import Gate
 from service.problems import ProblemError
 from service.settings import Settings
 
+SHOW = "import os; print(os.environ)"
+
 
 @pytest.fixture(autouse=True)
 def _bare(monkeypatch: pytest.MonkeyPatch) -> None:
-    import os
-
     for name in list(os.environ):
         if name.startswith("MFCMT_") and name != "MFCMT_CI":
             monkeypatch.delenv(name)
@@ -38,6 +41,26 @@ def test_variables_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [key.get_secret_value() for key in settings.api_keys] == ["first-key-0000001", "second-key-000002"]
     assert settings.allowed_origins == ("https://a.example", "http://b.example:81")
     assert "first-key" not in repr(settings)
+
+
+def test_what_a_service_was_set_up_with_leaves_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever it starts does not inherit it; settings that are read again are the same."""
+    monkeypatch.setattr(environment, "_taken", {})
+    monkeypatch.setenv("MFCMT_API_KEYS", "first-key-0000001")
+    monkeypatch.setenv("mfcmt_admin_key", "the-operators-key")
+    monkeypatch.setenv("OTEL_EXPORTER_OTLP_HEADERS", "authorization=the-collectors")
+    monkeypatch.setenv("MFCMT_OTHER", "not of the service")
+    before = Settings()
+    local_lanes(before)
+    seen = subprocess.run([sys.executable, "-c", SHOW], capture_output=True, text=True, check=True).stdout
+    for secret in ("first-key-0000001", "the-operators-key", "the-collectors"):
+        assert secret not in str(os.environ)
+        assert secret not in seen
+    assert "not of the service" in seen
+    assert Settings() == before
+    monkeypatch.setenv("MFCMT_API_KEYS", "second-key-000002")
+    (key,) = Settings().api_keys
+    assert key.get_secret_value() == "second-key-000002"
 
 
 @pytest.mark.parametrize(

@@ -30,6 +30,7 @@ from service.settings import Settings
 from .test_book import Lanes
 
 KEYS = ("key-of-the-first-tenant", "key-of-the-other-tenant")
+PLACES = 12
 NEVER = "AAAAAAAAAAAAAAAAAAAAAAAA"
 SNAPSHOT = "application/vnd.mfcmt.snapshot"
 BOX = [30, 20, 24, 24]
@@ -47,7 +48,7 @@ class OwnLanes(Lanes):
     """One real lane's store, without the process around it."""
 
     def __init__(self) -> None:
-        super().__init__(12)
+        super().__init__(PLACES)
         self.store = Store(CONFIG)
 
     async def call(self, key: str, request: Buffers) -> bytes:
@@ -87,7 +88,8 @@ class Tenants(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        app = create_app(Settings(api_keys=",".join(KEYS), signing_keys="the-secret-that-signs"), lanes=OwnLanes())
+        chosen = {"api_keys": ",".join(KEYS), "signing_keys": "the-secret-that-signs"}
+        app = create_app(Settings(**chosen, lanes=1, max_sessions_per_lane=PLACES), lanes=OwnLanes())
         self.stack = ExitStack()
         self.http = self.stack.enter_context(TestClient(app))
         self.owner: dict[str, int] = {}
@@ -116,7 +118,9 @@ class Tenants(RuleBasedStateMachine):
 
     def made(self, tenant: int, response: Any, label: str) -> Any:
         if response.status_code != 201:
-            assert response.json()["code"] == "at-capacity"
+            # Half of the places are each tenant's own, whatever the other does.
+            assert response.json()["code"] == "over-quota"
+            assert sum(self.owner[sid] == tenant for sid in self.alive) == PLACES // 2
             return multiple()
         sid: str = response.json()["id"]
         assert sid not in self.owner

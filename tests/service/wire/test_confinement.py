@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -17,7 +19,8 @@ from service.load.own import OwnServer
 from service.load.usage import server_processes
 from tests.conftest import ROOT, require
 
-from .conftest import Serve
+from .conftest import Serve, Wire
+from .test_lanes import until, until_ready
 
 SECRETS = ("key-of-the-first-tenant", "secret-that-signs-snapshots", "key-of-the-operator")
 # Each is tried in a process that has confined itself; what it prints is the name of the refusal.
@@ -127,6 +130,60 @@ async def test_every_lane_is_confined(serve: Serve, clip: Clip) -> None:
             assert len(spaces) == 3
     session = await wire.create(clip.frames[0], clip.box)
     assert (await wire.track(session["id"], clip.frames[1])).status_code == 200
+
+
+async def test_no_process_that_starts_later_knows_a_key(serve: Serve, clip: Clip, tmp_path: Path) -> None:
+    """After the fork server has died and with it all lanes, and after a lane has died alone."""
+    require(sys.platform == "linux", "environments and memory are looked at in /proc")
+    key, signing, admin = SECRETS
+    filed, header = "key-that-is-in-the-file", "header-of-the-collector"
+    keys = tmp_path / "keys"
+    keys.write_text(f"tenant {filed}\n")
+    wire = serve(
+        {"X-API-Key": key},
+        lanes=2,
+        api_keys=key,
+        api_keys_file=keys,
+        signing_keys=signing,
+        admin_key=admin,
+        environment={"OTEL_EXPORTER_OTLP_HEADERS": f"authorization={header}"},
+    )
+    session = await wire.create(clip.frames[0], clip.box)
+    for victim in ("fork server", "lane 0"):
+        before = server_processes(wire.server.pid)
+        os.kill(before[victim], signal.SIGKILL)
+        await until(lambda before=before, victim=victim: replaced(wire, before, victim))  # type: ignore[misc]
+        await until_ready(wire, 2)
+        assert (await wire.track(session["id"], clip.frames[1])).status_code == 200
+        for process in psutil.Process(wire.server.pid).children(recursive=True):
+            told = process.environ()
+            held = memory(process.pid)
+            for secret in (*SECRETS, filed, header):
+                assert not [name for name, value in told.items() if secret in value], process.cmdline()
+                assert secret.encode() not in held, process.cmdline()
+    # Nor can who may look into the front's environment, or a fork of it, read one there.
+    environment = Path(f"/proc/{wire.server.pid}/environ").read_bytes()
+    assert not [secret for secret in (*SECRETS, header) if secret.encode() in environment]
+
+
+def replaced(wire: Wire, before: dict[str, int], role: str) -> bool:
+    """Whether the process of this role is another one, and all roles are filled."""
+    now = server_processes(wire.server.pid)
+    return before[role] not in now.values() and now.keys() == before.keys()
+
+
+def memory(pid: int) -> bytes:
+    """All that the process can have written: its private writable pages."""
+    held = []
+    with open(f"/proc/{pid}/maps") as maps, open(f"/proc/{pid}/mem", "rb", 0) as pages:
+        for line in maps:
+            span, rights, *_ = line.split()
+            if rights.startswith("rw") and rights.endswith("p"):
+                start, end = (int(at, 16) for at in span.split("-"))
+                pages.seek(start)
+                with contextlib.suppress(OSError):  # reserved, or gone by now
+                    held.append(pages.read(end - start))
+    return b"".join(held)
 
 
 async def test_a_lane_works_in_one_thread(serve: Serve, clip: Clip) -> None:
