@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import os
 import pkgutil
 import shutil
 import time
@@ -21,6 +20,7 @@ from typing import Any
 import numpy as np
 import simplejpeg
 from llvmlite.binding import get_host_cpu_name
+from numba.core import config
 from numba.core.dispatcher import Dispatcher
 
 from .. import kernels, synthetic
@@ -52,7 +52,7 @@ def run(_: argparse.Namespace) -> int:
     done = f"compiled {compiled} of {len(found)}" if compiled else f"{len(found)}"
     ready = "kernels" if compiled else "kernels are ready"
     places = ", ".join(sorted(map(str, folders)))
-    print(f"{done} {ready} for {os.environ.get('NUMBA_CPU_NAME') or get_host_cpu_name()} ({seconds:.1f} s) in {places}")
+    print(f"{done} {ready} for {config.CPU_NAME or get_host_cpu_name()} ({seconds:.1f} s) in {places}")
     return 0
 
 
