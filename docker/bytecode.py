@@ -3,22 +3,27 @@
 usage: bytecode.py FOLDER
 """
 
+import importlib
 import py_compile
 import sys
 from pathlib import Path
 
-import mfcmt_core.cli.warmup
-import service.app
-import service.cli.health
-import service.cli.serve
-import service.lanes.preload
-import service.lanes.worker
-import service.observability.tracing  # noqa: F401
+MODULES = (
+    "mfcmt_core.cli.warmup",
+    "service.app",
+    "service.cli.health",
+    "service.cli.serve",
+    "service.lanes.preload",
+    "service.lanes.worker",
+    "service.observability.tracing",
+)
 
 
 def main() -> None:
     """Write the files beside the sources."""
     folder = Path(sys.argv[1]).resolve()
+    for name in MODULES:
+        importlib.import_module(name)
     for module in list(sys.modules.values()):
         source = Path(getattr(module, "__file__", None) or "")
         if source.suffix == ".py" and folder in source.parents:
