@@ -21,9 +21,11 @@ done
 
 # Images and containers of this run alone.
 work=$(mktemp -d /var/tmp/mfcmt-image.XXXXXX)
-export STORAGE_DRIVER=vfs BUILDAH_ISOLATION=chroot TMPDIR="$work/tmp"
+export STORAGE_DRIVER=overlay BUILDAH_ISOLATION=chroot TMPDIR="$work/tmp"
 mkdir "$TMPDIR"
 store=(--root "$work/storage" --runroot "$work/run")
+# Without overlays layers are copied: slower, and the same.
+command podman "${store[@]}" info >/dev/null 2>&1 || export STORAGE_DRIVER=vfs
 podman() { command podman "${store[@]}" --runtime runc --cgroup-manager cgroupfs "$@"; }
 container=""
 tidy() {

@@ -98,6 +98,7 @@ def test_the_steps_use_the_base_images_pip_though_the_new_environment_comes_firs
     # A python3 that is called by its bare name takes itself for the first one in PATH, as soon as that is there.
     folder, tools = tmp_path / "made", tmp_path / "tools"
     (tools / "pip").mkdir(parents=True)
+    (tools / "pip/__init__.py").touch()
     (tools / "pip/__main__.py").write_text(PIP)
     (tools / "python3").symlink_to(Path(sys.base_prefix, "bin/python3"))
     path = f"{folder}/bin:{tools}:/usr/bin:/bin"
