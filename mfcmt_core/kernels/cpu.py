@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
-from llvmlite.binding import get_host_cpu_features
-from numba.core import config
+import numba.core.config
+from llvmlite.binding import get_host_cpu_features, get_host_cpu_name
+
+_config: Any = numba.core.config
 
 # What the levels of x86-64 add to those below them, as LLVM names it, as far as compiled kernels could use it.
 _V2 = frozenset({"cx16", "popcnt", "sahf", "sse3", "ssse3", "sse4.1", "sse4.2"})
@@ -25,5 +28,10 @@ def fit() -> None:
     An image brings kernels for the CPU that it was built for. Here they would end the process at the first
     instruction that is not there; so they are left alone, and kernels of this machine's own are made or found.
     """
-    if lacking(config.CPU_NAME, get_host_cpu_features()):
-        config.CPU_NAME = config.CPU_FEATURES = None
+    if lacking(_config.CPU_NAME, get_host_cpu_features()):
+        _config.CPU_NAME = _config.CPU_FEATURES = None
+
+
+def target() -> str:
+    """The name of that CPU."""
+    return _config.CPU_NAME or str(get_host_cpu_name())

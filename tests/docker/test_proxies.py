@@ -58,14 +58,14 @@ def changed(path: Path, changes: dict[str, str]) -> str:
     return text
 
 
-def nginx(folder: Path, certificate: tuple[Path, Path], port: int, behind: int, **changes: str) -> Started:
-    changes |= {
+def nginx(folder: Path, certificate: tuple[Path, Path], port: int, behind: int, **more: str) -> Started:
+    changes = {
         "/etc/ssl/certs/tracker.pem": str(certificate[0]),
         "/etc/ssl/private/tracker.key": str(certificate[1]),
         "127.0.0.1:8000": f"127.0.0.1:{behind}",
         "listen 443 ssl": f"listen 127.0.0.1:{port} ssl",
         "tracker.example.org": HOST,
-        "75s": "2s",
+        **more,
     }
     (folder / "site.conf").write_text(changed(ROOT / "docker/proxy/nginx.conf", changes))
     (folder / "nginx.conf").write_text(
@@ -77,17 +77,19 @@ def nginx(folder: Path, certificate: tuple[Path, Path], port: int, behind: int, 
     return Started(["nginx", "-e", f"{folder}/log", "-c", f"{folder}/nginx.conf"], {})
 
 
-def caddy(folder: Path, certificate: tuple[Path, Path], port: int, behind: int) -> Started:
-    return _caddy(folder, f"{certificate[0]} {certificate[1]}", port, behind)
+def caddy(folder: Path, certificate: tuple[Path, Path], port: int, behind: int, **more: str) -> Started:
+    return _caddy(folder, f"{certificate[0]} {certificate[1]}", port, behind, **more)
 
 
-def caddy_with_an_authority_of_its_own(folder: Path, _: tuple[Path, Path], port: int, behind: int) -> Started:
+def caddy_with_an_authority_of_its_own(
+    folder: Path, _: tuple[Path, Path], port: int, behind: int, **more: str
+) -> Started:
     """As in docker/compose.yaml."""
-    return _caddy(folder, "internal", port, behind)
+    return _caddy(folder, "internal", port, behind, **more)
 
 
-def _caddy(folder: Path, made_by: str, port: int, behind: int) -> Started:
-    changes = {"75s": "2s", "\tskip_install_trust": OWN_CADDY}
+def _caddy(folder: Path, made_by: str, port: int, behind: int, **more: str) -> Started:
+    changes = {"\tskip_install_trust": OWN_CADDY, **more}
     (folder / "Caddyfile").write_text(changed(ROOT / "docker/proxy/Caddyfile", changes))
     env = {
         "HTTPS_NAME": f"{HOST}:{port}",
@@ -133,7 +135,7 @@ def running(make: Callable[..., Started], certificate: tuple[Path, Path], behind
             process = subprocess.Popen(started.command, stdout=out, stderr=out)
         try:
             give_up = time.monotonic() + 60
-            while not (listens(port) and Path(os.environ["SSL_CERT_FILE"]).exists()):
+            while not answers(port):
                 assert process.poll() is None, (folder / "out").read_text()
                 assert time.monotonic() < give_up, (folder / "out").read_text()
                 time.sleep(0.05)
@@ -148,14 +150,20 @@ PROXIES = pytest.mark.parametrize("make", [nginx, caddy], ids=["nginx", "caddy"]
 
 @pytest.fixture(params=[nginx, caddy, caddy_with_an_authority_of_its_own], ids=["nginx", "caddy", "caddy-authority"])
 def proxy(request: pytest.FixtureRequest, certificate: tuple[Path, Path], behind: OwnServer) -> Iterator[Proxy]:
-    with running(request.param, certificate, behind.port) as url:
+    with running(request.param, certificate, behind.port, **{"75s": "2s"}) as url:
         yield Proxy(url, behind)
 
 
-def listens(port: int) -> bool:
-    with socket.socket() as probe:
-        probe.settimeout(1)
-        return probe.connect_ex(("127.0.0.1", port)) == 0
+def answers(port: int) -> bool:
+    """Whether there is a proxy that has its certificate."""
+    trusting = ssl.create_default_context()
+    trusting.check_hostname, trusting.verify_mode = False, ssl.CERT_NONE
+    try:
+        with socket.create_connection(("127.0.0.1", port), timeout=5) as plain:
+            trusting.wrap_socket(plain, server_hostname=HOST).close()
+    except OSError:
+        return False
+    return True
 
 
 @pytest.fixture(scope="module")
