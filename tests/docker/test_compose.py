@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 import yaml
+from uvicorn.middleware.proxy_headers import _TrustedHosts
 
 from service.settings import Settings
 from tests.conftest import ROOT, require
@@ -163,6 +164,13 @@ def test_the_script_makes_keys_that_the_service_takes_and_keeps_what_is_there(tm
     command = [program, "-f", tmp_path / "compose.yaml", "config", "--quiet"]
     done = subprocess.run(command, env={"PATH": os.environ["PATH"]}, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_proxy_in_dockers_networks_is_believed_and_nobody_else(program: str) -> None:
+    inside = understood(program, **KEYS)["services"]["mfcmt"]["environment"]
+    believed = _TrustedHosts(inside["FORWARDED_ALLOW_IPS"])
+    assert all(address in believed for address in ("127.0.0.1", "172.18.0.3", "192.168.16.1", "10.88.0.1"))
+    assert "203.0.113.9" not in believed
 
 
 def test_keys_are_never_committed() -> None:
