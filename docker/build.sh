@@ -1,5 +1,5 @@
 #!/bin/sh
-# What the image holds, made in FOLDER: the service in a virtual environment of its own, its kernels compiled
+# Makes what the image holds in FOLDER: the service in a virtual environment of its own, with its kernels compiled
 # for the CPU that NUMBA_CPU_NAME and NUMBA_CPU_FEATURES name. The Dockerfile runs this, and so does
 # docker/try_image.py where there is no Docker. Wheels only: no compiler, and nothing that the lock does not name.
 # usage: docker/build.sh FOLDER
@@ -7,14 +7,19 @@ set -eu
 : "${NUMBA_CPU_NAME:?}" "${NUMBA_CPU_FEATURES?}"
 cd "$(dirname "$0")/.."
 folder=$1
-python=${PYTHON:-python3}
+# Found before FOLDER has a python3: FOLDER/bin may come first in PATH, and that one has no pip.
+python=$(command -v "${PYTHON:-python3}")
 "$python" -m venv --without-pip "$folder"
 pip() { ${PIP:-$python -m pip} --quiet --disable-pip-version-check --no-cache-dir --python "$folder/bin/python" "$@"; }
 pip install --no-compile --require-hashes --only-binary :all: -r docker/requirements.lock
 pip install --no-compile --no-deps --no-build-isolation .
 pip uninstall --yes hatchling pathspec pluggy trove-classifiers
-# The libraries' own tests are a sixth of all and never run here.
+# What never runs here: the libraries' own tests (a sixth of all), headers, stubs for type checkers.
 find "$folder" -type d -name tests -path '*/site-packages/*' -prune -exec rm -rf {} +
-# Good whatever a copy does to times; what lies in a read-only tree is not checked again.
-"$folder/bin/python" -m compileall -q -j 0 --invalidation-mode unchecked-hash "$folder/lib"
+find "$folder" -type f \( -name '*.pyi' -o -name '*.h' -o -name '*.a' -o -name '*.px[di]' -o -name '*.pyx' \) -delete
+# Symbol tables: 38 MB. What wheels have bundled was rearranged when it was, and is not touched again.
+if command -v strip >/dev/null; then
+    find "$folder" -type f -name '*.so' ! -path '*.libs/*' ! -path '*/cv2/*' -exec strip --strip-unneeded {} +
+fi
 "$folder/bin/mfcmt" warmup
+"$folder/bin/python" docker/bytecode.py "$folder"

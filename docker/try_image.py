@@ -1,6 +1,7 @@
 """The image without Docker: its very steps in a clean root, its settings, its user, and what it then does.
 
     python docker/try_image.py            # about two minutes, about 0.5 GB in a temporary folder
+    python docker/try_image.py URL [KEY]  # only the frames, of a service that runs already
 
 ``docker/build.sh`` runs with the environment that the Dockerfile sets and nothing else; the tree is sealed; the
 service starts as the image's user, who may write a temporary folder and the state folder and nothing more.
@@ -90,7 +91,8 @@ class Container:
         """The image's environment, in this place."""
         told = {name: value.replace(PLACE, str(self.opt)) for name, value in self.image.env.items()}
         told["PATH"] = told["PATH"].replace("$PATH", "/usr/local/bin:/usr/bin:/bin")
-        told["MFCMT_STATE_DIR"] = told["MFCMT_STATE_DIR"].replace(STATE, str(self.state))
+        for name in ("MFCMT_STATE_DIR", "XDG_CACHE_HOME"):
+            told[name] = told[name].replace(STATE, str(self.state))
         return told | {"HOME": "/nonexistent", "TMPDIR": str(self.tmp)} | changes
 
     def build(self, *also: str) -> None:
@@ -182,11 +184,11 @@ class Served:
         raise SystemExit(f"not ready after {START_S:g} s\n{self.log}")
 
 
-def first_frames(url: str, count: int = FRAMES) -> tuple[float, list[float]]:
+def first_frames(url: str, count: int = FRAMES, key: str | None = None) -> tuple[float, list[float]]:
     """Milliseconds of making a session, and of each of its frames, as a client sees them."""
     clip = sample(30)
     took = []
-    with Client(url) as client:
+    with Client(url, key=key) as client:
         begun = time.perf_counter()
         session = client.create(clip.frames[0], box=clip.box)
         made = time.perf_counter() - begun
@@ -209,8 +211,18 @@ def sizes(folder: Path) -> tuple[float, list[tuple[str, float]]]:
     return sum(parts.values()), sorted(parts.items(), key=lambda part: -part[1])
 
 
+def told(url: str, key: str | None = None) -> str:
+    """What a client sees of the first frames, in words."""
+    made, took = first_frames(url, key=key)
+    middle = statistics.median(took)
+    return f"session {made:.1f} ms, first frame {took[0]:.1f} ms, median of {len(took)} {middle:.1f} ms"
+
+
 def main() -> None:
-    """Build, seal, serve, measure, remove."""
+    """Build, seal, serve, measure, remove; or measure what runs at the URL given."""
+    if len(sys.argv) > 1:
+        print(told(*sys.argv[1:3]))
+        return
     container = Container(read_dockerfile(), Path(tempfile.mkdtemp(prefix="mfcmt-image-")))
     try:
         begun = time.monotonic()
@@ -221,11 +233,7 @@ def main() -> None:
         for cpu in (container.image.env["NUMBA_CPU_NAME"], OTHER_CPU):
             print(container.run(["mfcmt", "warmup"], NUMBA_CPU_NAME=cpu).stdout.strip())
             with container.serving(NUMBA_CPU_NAME=cpu) as served:
-                made, took = first_frames(served.url)
-                print(
-                    f"{cpu}: ready {served.ready_s:.2f} s after the start; session {made:.1f} ms, "
-                    f"first frame {took[0]:.1f} ms, median of {len(took)} {statistics.median(took):.1f} ms"
-                )
+                print(f"{cpu}: ready {served.ready_s:.2f} s after the start; {told(served.url)}")
     finally:
         container.remove()
 

@@ -18,7 +18,7 @@ from pydantic_settings import (
 
 from . import environment
 from .keys import LEAST_CHARACTERS, check_key, read_keys
-from .lanes.cores import usable_cores
+from .lanes.cores import default_lanes
 
 MIB = 1024 * 1024
 TEN_YEARS_S = 3.2e8
@@ -44,10 +44,10 @@ class Settings(BaseSettings):
     public_url: str = Field(default="", description="base URL that clients see, where a proxy does not pass it on")
 
     lanes: int = Field(
-        default_factory=usable_cores,
+        default_factory=default_lanes,
         ge=1,
         le=256,
-        description="worker processes; the cores of affinity and cgroup",
+        description="worker processes; as many as cores that affinity and cgroup leave, less one from three on",
     )
     max_sessions_per_lane: int = Field(
         default=16, ge=1, description="sessions in one lane; the service holds lanes times this"

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import os
 import pkgutil
 import shutil
 import time
@@ -20,12 +19,12 @@ from typing import Any
 
 import numpy as np
 import simplejpeg
-from llvmlite.binding import get_host_cpu_name
 from numba.core.dispatcher import Dispatcher
 
 from .. import kernels, synthetic
 from ..config import PRESETS, MFCMTConfig
 from ..images.mend import mend
+from ..kernels.cpu import target
 from ..tracker import MFCMT
 
 ALWAYS: dict[str, Any] = dict.fromkeys(("fused_threshold", "template_threshold", "statistical_threshold"), 0.0)
@@ -52,7 +51,7 @@ def run(_: argparse.Namespace) -> int:
     done = f"compiled {compiled} of {len(found)}" if compiled else f"{len(found)}"
     ready = "kernels" if compiled else "kernels are ready"
     places = ", ".join(sorted(map(str, folders)))
-    print(f"{done} {ready} for {os.environ.get('NUMBA_CPU_NAME') or get_host_cpu_name()} ({seconds:.1f} s) in {places}")
+    print(f"{done} {ready} for {target()} ({seconds:.1f} s) in {places}")
     return 0
 
 

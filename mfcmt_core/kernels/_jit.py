@@ -14,6 +14,10 @@ from numba.core import caching
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
+from . import cpu
+
+cpu.fit()
+
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile for this CPU on first call, without the GIL, and keep the result on disk.

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import os
+import platform
 import subprocess
 import sys
 from pathlib import Path
 
 import numba.core.caching
 import numpy as np
+from llvmlite.binding import get_host_cpu_features
 
 from mfcmt_core.cli import warmup
+from mfcmt_core.kernels import cpu
 from mfcmt_core.kernels._jit import kernel
+from tests.conftest import require
 
 SCRIPT = Path(sys.executable).with_name("mfcmt")
 
@@ -34,6 +38,11 @@ import numpy as np
 from mfcmt_core.kernels.cells import gray_cells as k
 k(np.zeros((8, 8), np.uint8), np.ones((2, 2), np.float32), 0, np.ones((2, 1, 2), np.float32))
 print(len(k.stats.cache_misses), len(k.stats.cache_hits))
+"""
+
+TARGET = """
+from mfcmt_core.kernels.cpu import target
+print(target())
 """
 
 
@@ -72,8 +81,8 @@ def test_another_cpu_compiles_its_own_beside_the_others(tmp_path):
     cache = {"NUMBA_CACHE_DIR": str(tmp_path)}
     assert run(sys.executable, "-c", ONE_KERNEL, **cache) == "1 0\n"
     assert run(sys.executable, "-c", ONE_KERNEL, NUMBA_CPU_NAME="generic", **cache) == "1 0\n"
-    for cpu in ({}, {"NUMBA_CPU_NAME": "generic"}):
-        assert run(sys.executable, "-c", ONE_KERNEL, **cpu, **cache) == "0 1\n"
+    for target in ({}, {"NUMBA_CPU_NAME": "generic"}):
+        assert run(sys.executable, "-c", ONE_KERNEL, **target, **cache) == "0 1\n"
 
 
 def test_without_any_place_for_the_cache_kernels_still_work(monkeypatch):
@@ -81,3 +90,24 @@ def test_without_any_place_for_the_cache_kernels_still_work(monkeypatch):
     double = kernel(lambda x: x + x)
     assert double(np.float32(2)) == 4
     assert double.stats.cache_path is None
+
+
+def test_kernels_for_a_cpu_that_has_more_than_this_one_are_not_used() -> None:
+    have = get_host_cpu_features()
+    beyond = [level for level in cpu.LEVELS if cpu.lacking(level, have)]
+    require(beyond or platform.machine() != "x86_64", "this CPU has all the instructions that there are to lack")
+    for level in beyond:
+        # where they were used, the process would end by SIGILL
+        told = run(sys.executable, "-c", ONE_KERNEL + TARGET, NUMBA_CPU_NAME=level, NUMBA_CPU_FEATURES="")
+        assert told.split()[-1] != level
+
+
+def test_a_level_fits_where_all_its_instructions_are() -> None:
+    everything = dict.fromkeys(cpu.LEVELS["x86-64-v4"], True)
+    assert [cpu.lacking(level, everything) for level in cpu.LEVELS] == [set()] * 3
+    haswell = everything | dict.fromkeys(cpu.LEVELS["x86-64-v4"] - cpu.LEVELS["x86-64-v3"], False)
+    assert cpu.lacking("x86-64-v3", haswell) == set()
+    assert cpu.lacking("x86-64-v4", haswell)
+    assert cpu.lacking("x86-64-v3", everything | {"avx2": False}) == {"avx2"}
+    # no other name says what it needs
+    assert cpu.lacking("generic", {}) == cpu.lacking(None, {}) == set()

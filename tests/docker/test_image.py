@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -22,6 +23,12 @@ PRELOADED = """
 import service.lanes.preload
 from mfcmt_core.cli.warmup import dispatchers
 print(sum(len(d.stats.cache_misses) for d in dispatchers()), sum(len(d.stats.cache_hits) for d in dispatchers()))
+"""
+
+# A pip that installs nothing and tells which environment's it is.
+PIP = """
+import sys
+print("pip of", sys.prefix, "is told to", *sys.argv[1:])
 """
 
 ONE_KERNEL = """
@@ -70,6 +77,54 @@ def test_the_image_is_an_ordinary_users_and_stops_by_a_drain() -> None:
         env = try_image.read_dockerfile(arch).env
         # without the features, numba would add those of the machine that builds
         assert (env["NUMBA_CPU_NAME"], env["NUMBA_CPU_FEATURES"]) == (cpu, "")
+
+
+def labels(dockerfile: str) -> dict[str, str]:
+    """The labels that the last stage sets."""
+    return dict(re.findall(r'(org\.opencontainers\.image\.\w+)="([^"]*)"', dockerfile))
+
+
+def test_the_image_tells_its_version_revision_and_licence() -> None:
+    text = DOCKERFILE.read_text()
+    told = labels(text)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert told["org.opencontainers.image.licenses"] == project["license"]
+    assert told["org.opencontainers.image.version"] == "${VERSION}"
+    assert told["org.opencontainers.image.revision"] == "${REVISION}"
+    assert {"VERSION", "REVISION"} <= set(re.findall(r"^ARG (\w+)", text, re.M))
+
+
+def test_the_steps_use_the_base_images_pip_though_the_new_environment_comes_first_in_the_path(tmp_path: Path) -> None:
+    # A python3 that is called by its bare name takes itself for the first one in PATH, as soon as that is there.
+    folder, tools = tmp_path / "made", tmp_path / "tools"
+    (tools / "pip").mkdir(parents=True)
+    (tools / "pip/__init__.py").touch()
+    (tools / "pip/__main__.py").write_text(PIP)
+    (tools / "python3").symlink_to(Path(sys.base_prefix, "bin/python3"))
+    path = f"{folder}/bin:{tools}:/usr/bin:/bin"
+    env = {"PATH": path, "PYTHONPATH": str(tools), "NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+    # it ends where it wants to run what was not installed
+    done = subprocess.run([ROOT / "docker/build.sh", folder], env=env, capture_output=True, text=True, check=False)
+    used = re.findall(r"^pip of (\S+)", done.stdout, re.M)
+    assert len(used) == 3
+    assert set(used) == {sys.base_prefix}, done.stdout + done.stderr
+
+
+@pytest.mark.docker
+def test_the_image_is_built_as_written_and_serves_sealed() -> None:
+    require(hasattr(os, "getuid") and os.getuid() == 0, "making a base image needs root")
+    for program in ("buildah", "podman", "runc", "debootstrap", "curl"):
+        require(shutil.which(program), f"no {program}")
+    done = subprocess.run([ROOT / "docker/build_check.sh"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "ended with 0" in done.stdout
+
+
+def test_scripts_pass_their_lint() -> None:
+    require(shutil.which("shellcheck"), "no shellcheck")
+    scripts = [*(ROOT / "docker").glob("*.sh"), ROOT / ".ci/compose"]
+    done = subprocess.run(["shellcheck", *scripts], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "")
 
 
 def pins(path: Path) -> dict[str, set[str]]:

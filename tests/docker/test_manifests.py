@@ -1,10 +1,12 @@
-"""The compose file and the Kubernetes manifests: linted, valid by the published schemas, and in agreement."""
+"""The Kubernetes manifests: linted, valid by the published schemas, and in agreement with each other and the image."""
 
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from tests.conftest import ROOT, require
 
 DOCKER = ROOT / "docker"
 KUBERNETES = DOCKER / "kubernetes"
+AUTOSCALING = DOCKER / "kubernetes-autoscaling"
 STYLE = (
     "{extends: default, rules: {line-length: {max: 120}, document-start: disable, braces: disable, brackets: disable}}"
 )
@@ -31,8 +34,13 @@ def tool(name: str, *arguments: object) -> tuple[int, str]:
 
 
 def manifests() -> list[dict[str, Any]]:
-    files = [path for path in sorted(KUBERNETES.glob("*.yaml")) if path.name not in NO_MANIFESTS]
-    return [one for path in files for one in yaml.safe_load_all(path.read_text())]
+    files = [*sorted(KUBERNETES.glob("*.yaml")), *sorted(AUTOSCALING.glob("*.yaml"))]
+    return [one for path in files if path.name not in NO_MANIFESTS for one in yaml.safe_load_all(path.read_text())]
+
+
+def of_kubernetes() -> list[dict[str, Any]]:
+    """Those whose schema is Kubernetes' own."""
+    return [one for one in manifests() if "coreos.com" not in one["apiVersion"]]
 
 
 def of_kind(kind: str) -> dict[str, Any]:
@@ -43,23 +51,7 @@ def test_every_yaml_file_passes_its_lint() -> None:
     assert tool("yamllint", "-s", "-d", STYLE, DOCKER) == (0, "")
 
 
-def test_the_compose_file_is_valid_by_the_published_schema() -> None:
-    assert tool("check-jsonschema", "--builtin-schema", "vendor.compose-spec", DOCKER / "compose.yaml")[0] == 0
-
-
-def test_what_the_compose_file_mounts_is_there() -> None:
-    compose = yaml.safe_load((DOCKER / "compose.yaml").read_text())
-    for service in compose["services"].values():
-        assert service["read_only"]
-        assert service["cap_drop"] == ["ALL"]
-        for volume in service["volumes"]:
-            source = volume.split(":")[0]
-            assert (DOCKER / source).exists() if source.startswith(".") else source in compose["volumes"]
-    grace = float(compose["services"]["mfcmt"]["stop_grace_period"].rstrip("s"))
-    assert grace > Settings().drain_grace_s + 10
-
-
-@pytest.mark.parametrize("manifest", manifests(), ids=lambda one: f"{one['kind']}-{one['metadata']['name']}")
+@pytest.mark.parametrize("manifest", of_kubernetes(), ids=lambda one: f"{one['kind']}-{one['metadata']['name']}")
 def test_manifests_are_valid_by_the_published_schemas(manifest: dict[str, Any]) -> None:
     for version in ("1.30", "1.37"):
         kubernetes_validate.validate(manifest, version, strict=True)
@@ -72,9 +64,26 @@ def test_a_misspelt_manifest_is_not_valid() -> None:
         kubernetes_validate.validate(wrong, "1.37", strict=True)
 
 
-def test_the_kustomization_names_every_manifest() -> None:
-    listed = yaml.safe_load((KUBERNETES / "kustomization.yaml").read_text())["resources"]
-    assert {*listed, *NO_MANIFESTS} == {path.name for path in KUBERNETES.glob("*.yaml")}
+def test_the_kustomizations_name_every_manifest() -> None:
+    for folder in (KUBERNETES, AUTOSCALING):
+        listed = yaml.safe_load((folder / "kustomization.yaml").read_text())["resources"]
+        assert {*listed} - {"../kubernetes"} == {path.name for path in folder.glob("*.yaml")} - NO_MANIFESTS
+
+
+def test_kubectl_makes_all_of_it_with_the_version_as_tag() -> None:
+    require(shutil.which("kubectl"), "no kubectl (Debian: kubernetes-client)")
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    kinds = {}
+    for folder in (KUBERNETES, AUTOSCALING):
+        done = subprocess.run(["kubectl", "kustomize", folder], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+        made = list(yaml.safe_load_all(done.stdout))
+        kinds[folder] = {one["kind"] for one in made}
+        [stateful] = [one for one in made if one["kind"] == "StatefulSet"]
+        [container] = stateful["spec"]["template"]["spec"]["containers"]
+        assert container["image"] == f"mfcmt:{version}"
+    # what is applied without an operator has nothing that only an operator knows
+    assert kinds[AUTOSCALING] - kinds[KUBERNETES] == {"HorizontalPodAutoscaler", "PodMonitor"}
 
 
 def test_selectors_ports_and_the_metric_agree() -> None:
@@ -90,7 +99,26 @@ def test_selectors_ports_and_the_metric_agree() -> None:
     assert of_kind("NetworkPolicy")["spec"]["podSelector"]["matchLabels"] == labels
     scaler = of_kind("HorizontalPodAutoscaler")["spec"]
     assert scaler["scaleTargetRef"]["name"] == stateful["metadata"]["name"]
-    assert scaler["metrics"][0]["pods"]["metric"]["name"] in (KUBERNETES / "prometheus-adapter-values.yaml").read_text()
+    adapter = yaml.safe_load((AUTOSCALING / "prometheus-adapter-values.yaml").read_text())["rules"]
+    made = {(kind, rule["name"]["as"]) for kind, rules in adapter.items() for rule in rules}
+    asked = {("custom", one["pods"]["metric"]["name"]) for one in scaler["metrics"] if one["type"] == "Pods"}
+    asked |= {("external", one["external"]["metric"]["name"]) for one in scaler["metrics"] if one["type"] == "External"}
+    assert made == asked
+
+
+def test_prometheus_shows_the_key_that_the_pods_want_for_their_metrics() -> None:
+    stateful, monitor = of_kind("StatefulSet"), of_kind("PodMonitor")["spec"]
+    pod = stateful["spec"]["template"]
+    [container] = pod["spec"]["containers"]
+    [wanted] = [one["valueFrom"]["secretKeyRef"] for one in container["env"] if one["name"] == "MFCMT_ADMIN_KEY"]
+    [endpoint] = monitor["podMetricsEndpoints"]
+    assert endpoint["authorization"]["credentials"] == wanted
+    assert endpoint["port"] in {port["name"] for port in container["ports"]}
+    assert monitor["selector"]["matchLabels"] == pod["metadata"]["labels"]
+    # the alerts ask for job="mfcmt"
+    assert pod["metadata"]["labels"][monitor["jobLabel"]] == "mfcmt"
+    # these would have Prometheus ask once more, without a key
+    assert "annotations" not in pod["metadata"]
 
 
 def test_the_pod_is_as_sealed_as_the_image_allows_and_has_time_to_drain() -> None:
@@ -111,5 +139,5 @@ def test_the_pod_is_as_sealed_as_the_image_allows_and_has_time_to_drain() -> Non
 
 def test_what_is_set_are_settings() -> None:
     told = "".join(path.read_text() for path in DOCKER.rglob("*") if path.is_file() and path.suffix != ".py")
-    known = {f"MFCMT_{name.upper()}" for name in Settings.model_fields}
+    known = {f"MFCMT_{name.upper()}" for name in Settings.model_fields} | {"MFCMT_VERSION"}
     assert set(re.findall(r"MFCMT_[A-Z_]+", told)) <= known

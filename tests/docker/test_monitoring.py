@@ -38,6 +38,12 @@ def alerts() -> list[dict[str, Any]]:
     return [rule for group in groups for rule in group["rules"]]
 
 
+def adapter_rules() -> list[dict[str, Any]]:
+    """What the autoscaler goes by."""
+    path = ROOT / "docker/kubernetes-autoscaling/prometheus-adapter-values.yaml"
+    return [rule for rules in yaml.safe_load(path.read_text())["rules"].values() for rule in rules]
+
+
 def names(text: str) -> set[str]:
     return set(re.findall(r"\b(?:mfcmt|process|python)_\w+", text))
 
@@ -146,8 +152,7 @@ def test_every_name_is_one_that_the_service_tells(watched: Watched) -> None:
         asked |= names(expression)
     for rule in alerts():
         asked |= names(rule["expr"])
-    adapter = yaml.safe_load((ROOT / "docker/kubernetes/prometheus-adapter-values.yaml").read_text())
-    for rule in adapter["rules"]["custom"]:
+    for rule in adapter_rules():
         asked |= names(rule["seriesQuery"] + rule["metricsQuery"])
     assert len(asked) > 25
     assert asked - told == set()
@@ -163,6 +168,14 @@ def test_codes_and_reasons_that_alerts_look_for_exist() -> None:
 
 def test_every_panel_shows_something(watched: Watched) -> None:
     assert [title for title, expression in queries() if not watched.ask(expression)] == []
+
+
+def test_what_the_autoscaler_asks_for_is_the_share_of_places_that_are_taken(watched: Watched) -> None:
+    [part] = watched.ask("mfcmt_sessions_active / mfcmt_sessions_capacity")
+    for rule in adapter_rules():
+        query = rule["metricsQuery"].replace("<<.LabelMatchers>>", 'job="mfcmt"').replace("<<.GroupBy>>", "job")
+        [told] = watched.ask(query)
+        assert float(told["value"][1]) == pytest.approx(float(part["value"][1]), abs=0.2)
 
 
 def test_nothing_fires_while_all_is_well_and_the_rules_can_be_evaluated(watched: Watched) -> None:

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import http.client
+import json
+import os
 import shutil
 import socket
 import ssl
 import subprocess
+import tempfile
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,10 +23,14 @@ import pytest
 from service.client import AsyncClient, Client
 from service.load.clips import Clip, open_clip, sample
 from service.load.own import OwnServer, free_port
+from service.problems import CATALOGUE, MEDIA_TYPE
 from tests.conftest import OTB_ROOT, ROOT, require
 
 HOST = "localhost"
 KEY = "a-key-for-the-proxy-tests"
+STREAMS = 100
+# without ports that belong to the machine
+OWN_CADDY = "\tskip_install_trust\n\tadmin off\n\tauto_https disable_redirects"
 
 
 @dataclass
@@ -32,44 +41,64 @@ class Proxy:
     server: OwnServer
 
 
-def changed(path: Path, certificate: Path, key: Path, port: int, behind: int, **more: str) -> str:
+@dataclass
+class Started:
+    """How to run a proxy: the command, and what it finds in its environment."""
+
+    command: list[str]
+    env: dict[str, str]
+
+
+def changed(path: Path, changes: dict[str, str]) -> str:
     """An example's text, with only the names of its surroundings changed."""
     text = path.read_text()
-    changes = {
-        "/etc/ssl/certs/tracker.pem": str(certificate),
-        "/etc/ssl/private/tracker.key": str(key),
-        "127.0.0.1:8000": f"127.0.0.1:{behind}",
-        **more,
-    }
     for old, new in changes.items():
         assert old in text
         text = text.replace(old, new)
-    assert str(port) in text
     return text
 
 
-def nginx(folder: Path, certificate: Path, key: Path, port: int, behind: int) -> list[str]:
-    changes = {"listen 443 ssl": f"listen 127.0.0.1:{port} ssl", "tracker.example.org": HOST, "75s": "2s"}
-    site = changed(ROOT / "docker/proxy/nginx.conf", certificate, key, port, behind, **changes)
-    (folder / "site.conf").write_text(site)
+def nginx(folder: Path, certificate: tuple[Path, Path], port: int, behind: int, **more: str) -> Started:
+    changes = {
+        "/etc/ssl/certs/tracker.pem": str(certificate[0]),
+        "/etc/ssl/private/tracker.key": str(certificate[1]),
+        "127.0.0.1:8000": f"127.0.0.1:{behind}",
+        "listen 443 ssl": f"listen 127.0.0.1:{port} ssl",
+        "tracker.example.org": HOST,
+        **more,
+    }
+    (folder / "site.conf").write_text(changed(ROOT / "docker/proxy/nginx.conf", changes))
     (folder / "nginx.conf").write_text(
         f"pid {folder}/pid; error_log {folder}/log; daemon off;\nevents {{}}\n"
         f"http {{ access_log off; client_body_temp_path {folder}/body; proxy_temp_path {folder}/proxy;\n"
         f"fastcgi_temp_path {folder}/f; uwsgi_temp_path {folder}/u; scgi_temp_path {folder}/s;\n"
         f"include {folder}/site.conf; }}\n"
     )
-    return ["nginx", "-e", f"{folder}/log", "-c", f"{folder}/nginx.conf"]
+    return Started(["nginx", "-e", f"{folder}/log", "-c", f"{folder}/nginx.conf"], {})
 
 
-def caddy(folder: Path, certificate: Path, key: Path, port: int, behind: int) -> list[str]:
-    changes = {
-        "tracker.example.org": f"https://{HOST}:{port}",
-        "75s": "2s",
-        "{\n\tservers": "{\n\tadmin off\n\tservers",
+def caddy(folder: Path, certificate: tuple[Path, Path], port: int, behind: int, **more: str) -> Started:
+    return _caddy(folder, f"{certificate[0]} {certificate[1]}", port, behind, **more)
+
+
+def caddy_with_an_authority_of_its_own(
+    folder: Path, _: tuple[Path, Path], port: int, behind: int, **more: str
+) -> Started:
+    """As in docker/compose.yaml."""
+    return _caddy(folder, "internal", port, behind, **more)
+
+
+def _caddy(folder: Path, made_by: str, port: int, behind: int, **more: str) -> Started:
+    changes = {"\tskip_install_trust": OWN_CADDY, **more}
+    (folder / "Caddyfile").write_text(changed(ROOT / "docker/proxy/Caddyfile", changes))
+    env = {
+        "HTTPS_NAME": f"{HOST}:{port}",
+        "HTTPS_CERTIFICATE": made_by,
+        "HTTPS_UPSTREAM": f"127.0.0.1:{behind}",
     }
-    text = changed(ROOT / "docker/proxy/Caddyfile", certificate, key, port, behind, **changes)
-    (folder / "Caddyfile").write_text(text)
-    return ["caddy", "run", "--config", f"{folder}/Caddyfile", "--adapter", "caddyfile"]
+    if made_by == "internal":
+        env["SSL_CERT_FILE"] = str(folder / "caddy/pki/authorities/local/root.crt")
+    return Started(["caddy", "run", "--config", f"{folder}/Caddyfile", "--adapter", "caddyfile"], env)
 
 
 @pytest.fixture(scope="module")
@@ -85,43 +114,56 @@ def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 @pytest.fixture(scope="module")
 def behind() -> Iterator[OwnServer]:
-    with OwnServer(lanes=1, api_keys=KEY, ping_interval_s=0.5) as server:
+    with OwnServer(lanes=1, api_keys=KEY, ping_interval_s=0.5, max_sessions_per_lane=STREAMS) as server:
         yield server
 
 
-@pytest.fixture(params=[nginx, caddy], ids=["nginx", "caddy"])
-def proxy(
-    request: pytest.FixtureRequest,
-    tmp_path: Path,
-    certificate: tuple[Path, Path],
-    behind: OwnServer,
-    monkeypatch: pytest.MonkeyPatch,
-) -> Iterator[Proxy]:
-    command: Callable[..., list[str]] = request.param
-    require(shutil.which(command.__name__), f"no {command.__name__}")
-    monkeypatch.setenv("SSL_CERT_FILE", str(certificate[0]))
-    for name in ("HOME", "XDG_DATA_HOME", "XDG_CONFIG_HOME"):
-        monkeypatch.setenv(name, str(tmp_path))
-    port = free_port()
-    words = command(tmp_path, *certificate, port, behind.port)
-    with (tmp_path / "out").open("wb") as out:
-        process = subprocess.Popen(words, stdout=out, stderr=out)
+@contextmanager
+def running(make: Callable[..., Started], certificate: tuple[Path, Path], behind: int, **changes: str) -> Iterator[str]:
+    """A proxy before the port ``behind``: its URL."""
+    program = make.__name__.partition("_")[0]
+    require(shutil.which(program), f"no {program}")
+    with tempfile.TemporaryDirectory() as made, pytest.MonkeyPatch.context() as environment:
+        folder, port = Path(made), free_port()
+        environment.setenv("SSL_CERT_FILE", str(certificate[0]))
+        for name in ("HOME", "XDG_DATA_HOME", "XDG_CONFIG_HOME"):
+            environment.setenv(name, str(folder))
+        started = make(folder, certificate, port, behind, **changes)
+        for name, value in started.env.items():
+            environment.setenv(name, value)
+        with (folder / "out").open("wb") as out:
+            process = subprocess.Popen(started.command, stdout=out, stderr=out)
+        try:
+            give_up = time.monotonic() + 60
+            while not answers(port):
+                assert process.poll() is None, (folder / "out").read_text()
+                assert time.monotonic() < give_up, (folder / "out").read_text()
+                time.sleep(0.05)
+            yield f"https://{HOST}:{port}"
+        finally:
+            process.terminate()
+            process.wait(20)
+
+
+PROXIES = pytest.mark.parametrize("make", [nginx, caddy], ids=["nginx", "caddy"])
+
+
+@pytest.fixture(params=[nginx, caddy, caddy_with_an_authority_of_its_own], ids=["nginx", "caddy", "caddy-authority"])
+def proxy(request: pytest.FixtureRequest, certificate: tuple[Path, Path], behind: OwnServer) -> Iterator[Proxy]:
+    with running(request.param, certificate, behind.port, **{"75s": "2s"}) as url:
+        yield Proxy(url, behind)
+
+
+def answers(port: int) -> bool:
+    """Whether there is a proxy that has its certificate."""
+    trusting = ssl.create_default_context()
+    trusting.check_hostname, trusting.verify_mode = False, ssl.CERT_NONE
     try:
-        give_up = time.monotonic() + 30
-        while not listens(port):
-            assert process.poll() is None, (tmp_path / "out").read_text()
-            assert time.monotonic() < give_up, (tmp_path / "out").read_text()
-            time.sleep(0.05)
-        yield Proxy(f"https://{HOST}:{port}", behind)
-    finally:
-        process.terminate()
-        process.wait(20)
-
-
-def listens(port: int) -> bool:
-    with socket.socket() as probe:
-        probe.settimeout(1)
-        return probe.connect_ex(("127.0.0.1", port)) == 0
+        with socket.create_connection(("127.0.0.1", port), timeout=5) as plain:
+            trusting.wrap_socket(plain, server_hostname=HOST).close()
+    except OSError:
+        return False
+    return True
 
 
 @pytest.fixture(scope="module")
@@ -162,8 +204,7 @@ async def test_a_quiet_stream_is_kept_open_by_pings(proxy: Proxy, clip: Clip) ->
 
 
 def test_large_frames_pass_and_too_large_ones_are_told_by_the_service(proxy: Proxy, clip: Clip) -> None:
-    context = ssl.create_default_context()
-    with httpx2.Client(base_url=proxy.url, verify=context, headers={"X-API-Key": KEY}, timeout=30) as http:
+    with httpx2.Client(base_url=proxy.url, verify=context(), headers={"X-API-Key": KEY}, timeout=30) as http:
         made = http.post("/v1/sessions", files={"frame": clip.frames[0]}, data={"box": ",".join(map(str, clip.box))})
         assert made.status_code == 201, made.text
         path = f"{made.headers['location']}/frames"
@@ -176,7 +217,81 @@ def test_large_frames_pass_and_too_large_ones_are_told_by_the_service(proxy: Pro
 
 
 def test_metrics_stay_inside(proxy: Proxy) -> None:
-    context = ssl.create_default_context()
-    with httpx2.Client(base_url=proxy.url, verify=context) as http:
+    with httpx2.Client(base_url=proxy.url, verify=context()) as http:
         assert http.get("/livez").status_code == 200
         assert http.get("/metrics").status_code == 404
+
+
+@PROXIES
+async def test_a_backend_with_a_hundred_streams_passes(
+    make: Callable[..., Started], certificate: tuple[Path, Path], behind: OwnServer, clip: Clip
+) -> None:
+    with running(make, certificate, behind.port) as url:
+        async with AsyncClient(url, key=KEY) as client:
+            attached = asyncio.Event()
+            streams = 0
+
+            async def one() -> int:
+                session = await client.create(clip.frames[0], box=clip.box)
+
+                async def frames() -> AsyncIterator[bytes]:
+                    nonlocal streams
+                    yield clip.frames[1]
+                    streams += 1
+                    if streams == STREAMS:
+                        attached.set()
+                    await attached.wait()  # all of them are open at once
+                    yield clip.frames[2]
+
+                seen = [result.seq async for result in session.stream(frames(), mode="lossless")]
+                await session.close()
+                return len(seen)
+
+            assert await asyncio.gather(*(one() for _ in range(STREAMS))) == [2] * STREAMS
+
+
+@PROXIES
+def test_a_service_that_is_away_is_told_as_a_problem(
+    make: Callable[..., Started], certificate: tuple[Path, Path]
+) -> None:
+    with running(make, certificate, free_port()) as url, httpx2.Client(base_url=url, verify=context()) as client:
+        answer = client.get("/v1/sessions")
+    assert_problem(answer, 503, "draining")
+    assert answer.headers["retry-after"] == "1"
+
+
+def test_too_many_calls_of_one_address_are_told_as_a_problem(certificate: tuple[Path, Path], behind: OwnServer) -> None:
+    tight = {"rate=50r/s": "rate=1r/m", "burst=500 nodelay": "burst=2 nodelay"}
+    with (
+        running(nginx, certificate, behind.port, **tight) as url,
+        httpx2.Client(base_url=url, verify=context()) as client,
+    ):
+        answers = [client.get("/livez") for _ in range(4)]
+        assert [answer.status_code for answer in answers] == [200, 200, 200, 429]
+        assert_problem(answers[-1], 429, "rate-limited")
+        assert answers[-1].headers["retry-after"] == "1"
+        # who shows a key is not counted among strangers
+        assert client.get("/v1/sessions", headers={"X-API-Key": KEY}).status_code == 200
+
+
+def test_a_body_above_nginxs_limit_is_told_as_a_problem(certificate: tuple[Path, Path], behind: OwnServer) -> None:
+    with running(nginx, certificate, behind.port) as url:
+        call = http.client.HTTPSConnection(url.removeprefix("https://"), timeout=30, context=context(certificate[0]))
+        call.request("POST", "/v1/sessions", headers={"Content-Length": "70000000", "X-API-Key": KEY})
+        answer = call.getresponse()
+        assert answer.status == 413
+        assert json.loads(answer.read())["code"] == "body-too-large"
+        call.close()
+
+
+def context(authority: Path | None = None) -> ssl.SSLContext:
+    """What trusts the proxy of now."""
+    return ssl.create_default_context(cafile=authority or os.environ["SSL_CERT_FILE"])
+
+
+def assert_problem(answer: httpx2.Response, status: int, code: str) -> None:
+    assert answer.status_code == status
+    assert answer.headers["content-type"] == MEDIA_TYPE
+    problem = answer.json()
+    kind = CATALOGUE[code]
+    assert (problem["code"], problem["status"], problem["title"]) == (code, kind.status, kind.title)

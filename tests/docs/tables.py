@@ -1,4 +1,7 @@
-"""The tables of docs/operations.md that come from the code; ``make guide`` writes them anew."""
+"""The tables of docs/operations.md that come from the code, and the variables that docker/compose.yaml passes on.
+
+``make guide`` writes them anew.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,9 @@ from service.app import create_app
 from service.settings import Settings
 
 GUIDE = Path(__file__).resolve().parents[2] / "docs/operations.md"
+COMPOSE = GUIDE.parents[1] / "docker/compose.yaml"
+# The image says where the service listens and keeps its state; the others have a line of their own.
+NOT_PASSED_ON = {"host", "port", "state_dir", "api_keys", "admin_key", "max_lane_rss_bytes"}
 MIB = 1024 * 1024
 
 
@@ -19,7 +25,7 @@ def settings_table() -> str:
     """Every field of Settings: its variable, its default, what it is."""
     rows = ["| variable | default | |", "|---|---|---|"]
     for name, field in Settings.model_fields.items():
-        made = "the usable cores" if field.default_factory else _told(field.default)
+        made = "by usable cores" if field.default_factory else _told(field.default)
         rows.append(f"| `MFCMT_{name.upper()}` | {made} | {field.description} |")
     return "\n".join(rows)
 
@@ -65,6 +71,12 @@ def metrics_table() -> str:
     return "\n".join(rows)
 
 
+def compose_variables() -> str:
+    """Every setting that compose hands to the service where it is set."""
+    return "\n".join(f"      MFCMT_{name.upper()}:" for name in Settings.model_fields if name not in NOT_PASSED_ON)
+
+
+VARIABLES = re.compile(r"(      # table: variables .*?\n)(.*?)(\n      # end)", re.S)
 TABLES = {"settings": settings_table, "metrics": metrics_table}
 
 
@@ -74,12 +86,14 @@ def block(name: str) -> re.Pattern[str]:
 
 
 def main() -> None:
-    """Write the tables into the guide."""
+    """Write the tables into the guide, and the variables into the compose file."""
     text = GUIDE.read_text(encoding="utf-8")
     for name, table in TABLES.items():
         made = table()
         text = block(name).sub(lambda found, made=made: found[1] + made + found[3], text)
     GUIDE.write_text(text, encoding="utf-8")
+    compose = COMPOSE.read_text(encoding="utf-8")
+    COMPOSE.write_text(VARIABLES.sub(rf"\1{compose_variables()}\3", compose), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.lanes.cores import usable_cores
+from service.lanes.cores import lanes_for, usable_cores
 from service.lanes.fair import FairQueue, FairTurns
 from service.lanes.wire import Disorder, Splitter, decode_call, encode_call, framed
 from service.problems import ProblemError
@@ -253,3 +253,7 @@ def test_cores_by_quota(tmp_path: object) -> None:
     assert usable_cores(root) == everything
     (root / "cpu" / "cpu.cfs_quota_us").write_text("100000\n")
     assert usable_cores(root) == 1
+
+
+def test_from_three_cores_on_one_is_left_to_the_front() -> None:
+    assert [lanes_for(cores) for cores in (1, 2, 3, 4, 8)] == [1, 2, 2, 3, 7]
