@@ -1,40 +1,52 @@
-# Everything starts here: `make serve`, `make test`. Each target sets up what it needs.
+# Everything starts here: `make serve`, `make test`. Each target sets up what it needs: the packages that serving needs
+# (requirements.lock), and for tests and lint those of development besides (requirements-dev.lock).
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-STAMP := $(VENV)/.installed
+SERVING := $(VENV)/.serving
+DEVELOPMENT := $(VENV)/.development
 PEERS := .venv-peers/.installed
 DATA ?= $(or $(MFCMT_OTB_ROOT),../shared/data/otb)
 PUBLISHED ?= $(wildcard $(dir $(DATA:/=))published)
 PROTOCOL ?= ope,tre,sre
+LOCK := uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q -U
 
-.PHONY: help setup warmup serve demo test lint lock bench peers bench-peers eval reproduce guide clean
+.PHONY: help setup warmup serve demo test test-fast fresh lint lock bench peers bench-peers eval reproduce guide clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
 
-$(STAMP): requirements.lock pyproject.toml
+$(SERVING): requirements.lock pyproject.toml
 	@sh .ci/venv "$(PYTHON)" "$(VENV)"
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@$(BIN)/python .ci/install.py requirements.lock
 	@touch $@
 
-setup: $(STAMP)  ## make .venv from the lock file
+$(DEVELOPMENT): requirements-dev.lock $(SERVING)
+	@$(BIN)/python .ci/install.py requirements-dev.lock
+	@touch $@
 
-warmup: $(STAMP)  ## compile the kernels for this CPU (about a minute once, then nothing)
+setup: $(DEVELOPMENT)  ## make .venv with all that development needs, from the lock files
+
+warmup: $(SERVING)  ## compile the kernels for this CPU (half a minute once, then nothing)
 	@$(BIN)/mfcmt warmup
 
 serve: warmup  ## run the tracking service on http://127.0.0.1:8000
-	$(BIN)/mfcmt serve
+	@$(BIN)/mfcmt serve
 
 demo: warmup  ## open the page in the browser, with the sample clip running
-	$(BIN)/mfcmt demo
+	@$(BIN)/mfcmt demo
 
-test: warmup  ## run the tests
-	$(BIN)/python -m pytest
+test: $(DEVELOPMENT) warmup  ## run the tests; TESTS="tests/core -k geometry" for some
+	$(BIN)/python -m pytest $(TESTS)
 
-lint: $(STAMP)  ## ruff and mypy
+test-fast: $(DEVELOPMENT) warmup  ## run the tests of every part that need no minute
+	$(BIN)/python -m pytest -m "not slow and not docker" $(TESTS)
+
+fresh:  ## run both commands in a new minimal Debian (SUITE=trixie); as root, needs debootstrap
+	.ci/fresh $(SUITE)
+
+lint: $(DEVELOPMENT)  ## ruff and mypy
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -42,10 +54,9 @@ lint: $(STAMP)  ## ruff and mypy
 bench: warmup  ## milliseconds a frame, stage by stage
 	$(BIN)/mfcmt bench
 
-$(PEERS): .ci/peers.lock $(STAMP)
+$(PEERS): .ci/peers.lock pyproject.toml
 	@sh .ci/venv "$(PYTHON)" .venv-peers
-	.venv-peers/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r .ci/peers.lock
-	.venv-peers/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@.venv-peers/bin/python .ci/install.py .ci/peers.lock
 	@touch $@
 
 peers: $(PEERS)  ## an environment of its own with OpenCV's contrib trackers and dlib
@@ -61,13 +72,14 @@ reproduce: warmup $(PEERS)  ## the paper's section IV on DATA=folder (PUBLISHED=
 	.venv-peers/bin/mfcmt eval --data "$(DATA)" --protocol $(PROTOCOL) --trackers opencv-csrt opencv-kcf opencv-mosse dlib
 	$(BIN)/mfcmt eval --data "$(DATA)" --protocol $(PROTOCOL) --reproduce docs/evaluation $(if $(PUBLISHED),--published "$(PUBLISHED)")
 
-guide: $(STAMP)  ## write the tables of docs/operations.md that come from the code
+guide: $(DEVELOPMENT)  ## write the tables of docs/operations.md that come from the code
 	$(BIN)/python -m tests.docs.tables
 
 lock:  ## refresh the lock files (needs uv)
-	uv pip compile pyproject.toml --all-extras --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q -U -o requirements.lock
-	uv pip compile pyproject.toml docker/build.in --extra service --extra otel --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q -U -c requirements.lock -o docker/requirements.lock
-	uv pip compile .ci/peers.in --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q -U -o .ci/peers.lock
+	$(LOCK) pyproject.toml --all-extras -o requirements-dev.lock
+	$(LOCK) pyproject.toml --extra service --extra otel --group editable -c requirements-dev.lock -o requirements.lock
+	$(LOCK) pyproject.toml docker/build.in --extra service --extra otel -c requirements-dev.lock -o docker/requirements.lock
+	$(LOCK) .ci/peers.in -o .ci/peers.lock
 
 clean:  ## remove what the targets made
 	rm -rf $(VENV) .venv-peers .mypy_cache .pytest_cache .ruff_cache .hypothesis results

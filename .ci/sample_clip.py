@@ -1,4 +1,4 @@
-"""Renders the page's sample clip, service/web/page/sample.webm, and its first box, sample.json.
+"""Renders the page's sample clip, service/web/page/sample.webm, its first frame, sample.jpg, and box, sample.json.
 
 For when the clip is to change: ``.venv/bin/pip install av && .venv/bin/python .ci/sample_clip.py``.
 PyAV is no dependency of the project: OpenCV's video writer cannot bound the bit rate.
@@ -10,6 +10,7 @@ from fractions import Fraction
 from pathlib import Path
 
 import av
+import cv2
 
 from mfcmt_core import synthetic
 
@@ -31,6 +32,7 @@ def main() -> None:
             frame.pts, frame.time_base = index, Fraction(1, FPS)
             film.mux(stream.encode(frame))
         film.mux(stream.encode())
+    cv2.imwrite(str(PAGE / "sample.jpg"), clip.frames[0], [cv2.IMWRITE_JPEG_QUALITY, 80])
     box = [round(float(value), 1) for value in clip.boxes[0]]
     told = {"fps": FPS, "frames": len(clip), "size": [width, height], "box": box}
     (PAGE / "sample.json").write_text(json.dumps(told) + "\n")

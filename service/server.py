@@ -6,6 +6,7 @@ import asyncio
 import os
 import random
 import signal
+from collections.abc import Callable
 from importlib.util import find_spec
 from types import FrameType
 from typing import Any
@@ -21,7 +22,7 @@ from .settings import Settings
 # Room for the envelope of a MessagePack message.
 ENVELOPE_BYTES = 4096
 SHUTDOWN_S = 5
-DRAIN_TICK_S = 0.05
+DRAIN_TICK_S = READY_TICK_S = 0.05
 # When clients may come back: after this, and so much later.
 RETURN_S = 0.5
 SPREAD_S = (0.0, 1.5)
@@ -32,9 +33,11 @@ log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.server")
 class Server(uvicorn.Server):
     """The first signal drains, the second stops at once."""
 
-    def __init__(self, config: uvicorn.Config, service: Service) -> None:
+    def __init__(self, config: uvicorn.Config, service: Service, on_ready: Callable[[str], None]) -> None:
         super().__init__(config)
         self._service = service
+        self._on_ready = on_ready
+        self._telling: asyncio.Task[None] | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._draining: asyncio.Task[None] | None = None
 
@@ -53,6 +56,14 @@ class Server(uvicorn.Server):
             url = f"http://{f'[{host}]' if ':' in host else host}:{port}"
             settings = self._service.settings
             log.info("listening", url=url, lanes=settings.lanes, capacity=settings.capacity)
+            self._telling = asyncio.create_task(self._tell_ready(url))
+
+    async def _tell_ready(self, url: str) -> None:
+        """Tell the address once a lane is ready, that is, once sessions can be made."""
+        while not any(lane.ready for lane in self._service.lanes.status()):
+            await asyncio.sleep(READY_TICK_S)
+        log.info("ready", url=url)
+        self._on_ready(url)
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:  # noqa: ARG002
         """A signal handler, on the main thread."""
@@ -83,8 +94,11 @@ class Server(uvicorn.Server):
         self.should_exit = True
 
 
-def make_server(app: FastAPI) -> Server:
-    """A server for what ``create_app`` built; ``run()`` or ``serve()`` it."""
+def make_server(app: FastAPI, on_ready: Callable[[str], None] = lambda _: None) -> Server:
+    """A server for what ``create_app`` built; ``run()`` or ``serve()`` it.
+
+    ``on_ready`` is called with the service's address when its first lane is ready.
+    """
     service: Service = app.state.service
     settings: Settings = service.settings
     calls, frames = protocols(settings)
@@ -105,4 +119,4 @@ def make_server(app: FastAPI) -> Server:
         log_config=None,
         lifespan="on",
     )
-    return Server(config, service)
+    return Server(config, service, on_ready)

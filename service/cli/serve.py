@@ -16,6 +16,8 @@ from ..settings import Settings
 # The exit code when sessions are lost or older because their directory could not be written.
 NOT_WRITTEN = 3
 FLAGS = ("host", "port", "lanes", "log_format", "log_level")
+SAMPLE = "static/page/sample.jpg"
+SAMPLE_BOX = "278,184,84,112"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -48,7 +50,12 @@ def run(args: argparse.Namespace) -> int:
     except BadState as bad:
         print(f"mfcmt serve: {bad}", file=sys.stderr)
         return 1
-    server = make_server(app)
+
+    def tell(url: str) -> None:
+        if logs.is_console(settings.log_format):
+            print(first_steps(url, settings.authenticated), file=sys.stderr, flush=True)
+
+    server = make_server(app, tell)
     try:
         server.run()
     except SystemExit as failed:
@@ -60,6 +67,15 @@ def run(args: argparse.Namespace) -> int:
         print(f"mfcmt serve: {told}. Make room in {settings.state_dir}", file=sys.stderr)
         return NOT_WRITTEN
     return 0
+
+
+def first_steps(url: str, authenticated: bool = False) -> str:
+    """The page's address and a command that makes a first session, to paste into a terminal."""
+    key = '-H "X-API-Key: $KEY" ' if authenticated else ""
+    return (
+        f"\nready: the page is at {url}, a first session is made by\n\n"
+        f"  curl -sS {url}/{SAMPLE} | curl -sS {key}-F frame=@- -F box={SAMPLE_BOX} {url}/v1/sessions\n"
+    )
 
 
 def _fields() -> list[tuple[str, FieldInfo]]:

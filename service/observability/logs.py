@@ -12,9 +12,13 @@ import structlog
 SECRET_NAMES = frozenset({"authorization", "x-api-key", "key", "ticket", "cookie"})
 
 
+def is_console(form: Literal["auto", "json", "console"]) -> bool:
+    """Whether what is logged is meant for eyes."""
+    return form == "console" or (form == "auto" and sys.stderr.isatty())
+
+
 def configure(form: Literal["auto", "json", "console"], level: str) -> None:
     """Set logging up for this process; to standard error."""
-    console = form == "console" or (form == "auto" and sys.stderr.isatty())
     shared: list[Any] = [
         structlog.contextvars.merge_contextvars,
         structlog.stdlib.add_log_level,
@@ -24,7 +28,7 @@ def configure(form: Literal["auto", "json", "console"], level: str) -> None:
     ]
     last: list[Any] = (
         [structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty())]
-        if console
+        if is_console(form)
         else [structlog.processors.format_exc_info, structlog.processors.JSONRenderer()]
     )
     structlog.configure(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -47,11 +46,11 @@ async def chrome(camera_frames: list[bytes], tmp_path_factory: pytest.TempPathFa
 @asynccontextmanager
 async def launched(flags: list[str]) -> AsyncIterator[Any]:
     """A browser with these flags besides the usual ones."""
-    require(find_spec("playwright"), "playwright is not installed")
+    path = chromium()
     from playwright.async_api import async_playwright
 
     async with async_playwright() as driver:
-        browser = await driver.chromium.launch(executable_path=chromium(), args=[*FLAGS, "--hide-scrollbars", *flags])
+        browser = await driver.chromium.launch(executable_path=path, args=[*FLAGS, "--hide-scrollbars", *flags])
         yield browser
         await browser.close()
 

@@ -127,9 +127,10 @@ def test_a_bad_box_is_refused_and_a_good_one_ends_it(server):
 
 @pytest.fixture(scope="module")
 def browser():
+    path = chromium()
     api = pytest.importorskip("playwright.sync_api")
     with api.sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path=chromium(), args=[*FLAGS, "--disable-dev-shm-usage"])
+        running = playwright.chromium.launch(executable_path=path, args=[*FLAGS, "--disable-dev-shm-usage"])
         yield running
         running.close()
 

@@ -69,6 +69,29 @@ def test_warm_means_that_nothing_is_compiled():
     assert hits >= 10
 
 
+def test_what_the_second_process_compiles_is_what_a_tracker_needs():
+    """Then the first finds it ready; it has compiled everything else meanwhile."""
+    run(SCRIPT, "warmup")
+    code = "from mfcmt_core.cli import warmup; warmup.help_out(); found = list(warmup.dispatchers())\n"
+    code += "print(sum(len(d.stats.cache_misses) for d in found), sum(bool(d.overloads) for d in found))"
+    misses, used = map(int, run(sys.executable, "-c", code).split())
+    assert misses == 0
+    assert used > 5
+
+
+def test_kernels_are_counted_while_they_are_compiled(monkeypatch, capsys):
+    monkeypatch.setattr(numba.core.caching.CacheImpl, "_locator_classes", [])
+    found = [kernel(lambda x: x + x) for _ in range(10)]
+    with warmup._Compiling(found):
+        for one in found:
+            one(np.float32(2))
+    said = capsys.readouterr().out.splitlines()
+    assert [said[0].split(",")[0], *said[1:]] == ["compiling the kernels for this CPU", "  10 of 10"]
+    with warmup._Compiling(found):
+        found[0](np.float32(2))
+    assert capsys.readouterr().out == ""
+
+
 def test_prebuilt_kernels_are_copied_to_where_one_may_write(tmp_path):
     run(SCRIPT, "warmup")
     said = run(SCRIPT, "warmup", NUMBA_CACHE_DIR=str(tmp_path / "cache"))

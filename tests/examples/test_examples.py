@@ -130,6 +130,7 @@ def test_node(own_server: Serve, node: str, clip: Clip, files: list[str], tmp_pa
 
 async def test_page(clip: Clip, tmp_path: Path) -> None:
     """A box drawn by mouse over a camera, then put right by drawing again."""
+    path = chromium()
     playwright: Any = pytest.importorskip("playwright.async_api")
     film = tmp_path / "camera.y4m"
     write_y4m(film, [decode(clip.frame(index), LIMITS)[0] for index in range(2 * len(clip.frames) - 2)])
@@ -137,7 +138,7 @@ async def test_page(clip: Clip, tmp_path: Path) -> None:
     policy = "default-src 'self'; script-src 'self' 'unsafe-inline'; style-src 'self' 'unsafe-inline'; connect-src *"
     with Pages(clip.frames, policy, root=EXAMPLES) as pages, OwnServer(lanes=1, allowed_origins=pages.origin) as server:
         async with playwright.async_playwright() as driver:
-            browser = await driver.chromium.launch(executable_path=chromium(), args=[*CAMERA_FLAGS, camera])
+            browser = await driver.chromium.launch(executable_path=path, args=[*CAMERA_FLAGS, camera])
             try:
                 page = await (await browser.new_context(permissions=["camera"])).new_page()
                 errors: list[str] = []

@@ -14,7 +14,8 @@ from packaging.utils import canonicalize_name
 
 from tests.conftest import ROOT
 
-LOCKS = [ROOT / "requirements.lock", ROOT / ".ci" / "peers.lock"]
+SERVING, DEVELOPMENT = ROOT / "requirements.lock", ROOT / "requirements-dev.lock"
+LOCKS = [SERVING, DEVELOPMENT, ROOT / ".ci" / "peers.lock"]
 HASH = re.compile(r"--hash=sha256:[0-9a-f]{64}")
 Entry = tuple[Requirement, list[str]]
 
@@ -40,7 +41,7 @@ def test_every_dependency_is_pinned_and_hashed(path: object) -> None:
 def test_the_project_asks_for_nothing_that_is_not_locked() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     locked: dict[str, list[Requirement]] = {}
-    for requirement, _ in entries(LOCKS[0].read_text()):
+    for requirement, _ in entries(DEVELOPMENT.read_text()):
         locked.setdefault(canonicalize_name(requirement.name), []).append(requirement)
     wanted = [*project["dependencies"], *(one for extra in project["optional-dependencies"].values() for one in extra)]
     for text in wanted:
@@ -52,8 +53,24 @@ def test_the_project_asks_for_nothing_that_is_not_locked() -> None:
         assert all(requirement.specifier.contains(version, prereleases=True) for version in versions), text
 
 
+def test_serving_needs_a_part_of_what_development_has() -> None:
+    """`make serve` installs no tools of the tests, and the tests run with the very packages that serve."""
+    serving, development = (
+        {str(requirement): hashes for requirement, hashes in entries(path.read_text())}
+        for path in (SERVING, DEVELOPMENT)
+    )
+    assert serving.items() <= development.items()
+    names = {canonicalize_name(Requirement(pin).name) for pin in serving}
+    assert not names & {"pytest", "hypothesis", "playwright", "ruff", "mypy", "scipy", "matplotlib", "schemathesis"}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    extras = project["project"]["optional-dependencies"]
+    needed = [*project["project"]["dependencies"], *extras["service"], *extras["client"], *extras["otel"]]
+    needed += project["dependency-groups"]["editable"]
+    assert {canonicalize_name(Requirement(text).name) for text in needed} - {"mfcmt"} <= names
+
+
 def test_what_is_installed_is_what_is_locked() -> None:
-    for requirement, _ in entries(LOCKS[0].read_text()):
+    for requirement, _ in entries(DEVELOPMENT.read_text()):
         if requirement.marker is None or requirement.marker.evaluate():
             try:
                 installed = metadata.version(requirement.name)

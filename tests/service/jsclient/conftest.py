@@ -25,6 +25,9 @@ def node_with(folder: Path) -> str:
     found = shutil.which("node")
     require(found is not None, "no node")
     assert found is not None
+    needed = json.loads((PACKAGE / "package.json").read_text())["engines"]["node"].removeprefix(">=")
+    version = subprocess.run([found, "--version"], capture_output=True, text=True, check=True).stdout.strip()
+    require(int(version.removeprefix("v").split(".")[0]) >= int(needed), f"Node {version}, the client needs {needed}")
     if not (folder / "node_modules" / ".package-lock.json").is_file():
         npm = shutil.which("npm")
         require(npm is not None, "no npm")

@@ -41,9 +41,10 @@ def service(pages: Pages) -> Iterator[OwnServer]:
 @asynccontextmanager
 async def opened(pages: Pages, url: str, *flags: str, **context: Any) -> AsyncIterator[tuple[Run, Any]]:
     """The harness in a browser of its own. What the console says of errors fails the test."""
+    path = chromium()
     playwright = pytest.importorskip("playwright.async_api")
     async with playwright.async_playwright() as driver:
-        browser = await driver.chromium.launch(executable_path=chromium(), args=[*CAMERA_FLAGS, *flags])
+        browser = await driver.chromium.launch(executable_path=path, args=[*CAMERA_FLAGS, *flags])
         try:
             page = await (await browser.new_context(**context)).new_page()
             page.set_default_timeout(120_000)
