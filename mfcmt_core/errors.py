@@ -12,7 +12,7 @@ class BadConfig(MFCMTError, ValueError):
 
 
 class BadBox(MFCMTError, ValueError):
-    """The box is not four finite numbers, has no area, or lies outside the frame."""
+    """The box is not four finite numbers, has a side below one pixel, or lies outside the frame."""
 
 
 class BadImage(MFCMTError, ValueError):

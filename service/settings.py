@@ -10,6 +10,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from mfcmt_core.cli.variables import unread_variables
+
 from .keys import LEAST_CHARACTERS, check_key, read_keys
 from .lanes.cores import usable_cores
 
@@ -23,6 +25,11 @@ Names = Annotated[tuple[str, ...], NoDecode]
 
 def _positive(default: float, description: str, most: float = TEN_YEARS_S) -> Any:
     return Field(default=default, gt=0, le=most, allow_inf_nan=False, description=description)
+
+
+def unread_settings() -> list[str]:
+    """A line for each ``MFCMT_*`` variable that is no setting, with the nearest name that is one."""
+    return unread_variables(f"MFCMT_{name.upper()}" for name in Settings.model_fields)
 
 
 class Settings(BaseSettings):

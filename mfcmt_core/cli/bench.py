@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from .measure import (
     timed_run,
     warm_up,
 )
+from .variables import misspelt_variables
 
 BUSY = 1.15
 """Wall over processor time above which others had the core too."""
@@ -66,6 +68,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"no core {args.core} for this process")
     if args.costs and (args.peers or args.clip or args.data):
         raise UsageError("--costs renders its own clip and goes with neither --peers, --clip nor --data")
+    for line in misspelt_variables():
+        print(f"mfcmt bench: {line}", file=sys.stderr)
     machine = pin(args.core)
     if args.costs:
         report = costs.measure(MFCMTConfig.preset(args.preset), args.frames)

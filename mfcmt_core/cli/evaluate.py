@@ -17,7 +17,7 @@ from ..otb import film
 from ..otb.catalogue import resolve
 from ..otb.dataset import Dataset
 from ..otb.document import Picture, to_markdown
-from ..otb.errors import DataError
+from ..otb.errors import DataError, NoData
 from ..otb.layouts import LAYOUTS, open_dataset
 from ..otb.protocol import PROTOCOLS
 from ..otb.report import Results, write_report
@@ -28,7 +28,12 @@ from ..otb.tables import summary
 from ..otb.trackers import Entry, ResultFolder
 from . import UsageError
 from .progress import Progress
+from .variables import misspelt_variables
 
+WANTED = (
+    "name a folder of sequences with --data or MFCMT_OTB_ROOT, each with its images in NAME/img and its boxes in "
+    "NAME/groundtruth_rect.txt; docs/evaluation.md has where to get OTB, which is not part of this project"
+)
 SUBSETS = {"otb2015": "OTB-2015", "otb2013": "OTB-2013", "tb50": "TB-50"}
 
 
@@ -101,9 +106,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _dataset(args: argparse.Namespace) -> Dataset:
+    for line in misspelt_variables():
+        print(f"mfcmt eval: {line}", file=sys.stderr)
     if not args.data.is_dir():
-        raise UsageError(f"no data at {args.data}: name the folder of sequences with --data")
-    dataset = open_dataset(args.data, args.layout, SUBSETS[args.set])
+        raise UsageError(f"no data at {args.data}: {WANTED}")
+    try:
+        dataset = open_dataset(args.data, args.layout, SUBSETS[args.set])
+    except NoData as nothing:
+        raise UsageError(f"{nothing}: {WANTED}") from nothing
     if args.sequences:
         return dataset.select(args.sequences.split(","))
     if dataset.missing:

@@ -13,15 +13,15 @@ from pathlib import Path
 from typing import TextIO
 
 import cv2
-import numpy as np
 
 from ..config import PRESETS, MFCMTConfig
 from ..errors import BadBox
 from ..otb.catalogue import read_config
 from ..otb.errors import DataError
-from ..result import Box, TrackResult
+from ..result import TrackResult
 from ..tracker import MFCMT
 from . import UsageError, formats
+from .boxes import parse_box
 from .media import Image, MediaError, Source, VideoFile, open_source
 from .overlay import Overlay
 from .progress import Progress
@@ -44,7 +44,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Do the work; the exit code."""
-    box = _box(args.box) if args.box is not None else None
+    box = parse_box(args.box) if args.box is not None else None
     config = _config(args.preset, args.config)
     style = args.format or formats.SUFFIXES.get(Path(args.output or "").suffix.lower(), "csv")
     source = open_source(args.source)
@@ -115,16 +115,6 @@ def _follow(
             bar.step(result.status)
         sink.flush()
     return counts
-
-
-def _box(text: str) -> Box:
-    try:
-        x, y, w, h = (float(v) for v in text.split(","))
-    except ValueError:
-        raise UsageError(f"--box takes four numbers x,y,w,h, not {text!r}") from None
-    if not np.isfinite([x, y, w, h]).all() or w <= 0 or h <= 0:
-        raise UsageError(f"--box has no area: {text}")
-    return x, y, w, h
 
 
 def _config(preset: str, file: str | None) -> MFCMTConfig:
