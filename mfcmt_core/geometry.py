@@ -45,7 +45,7 @@ def check_box(box: Iterable[float], frame_size: tuple[int, int]) -> Box:
         raise BadBox(f"not finite: {(x, y, w, h)}")
     width, height = frame_size
     if not min(w, h) >= MIN_BOX_SIDE:
-        shares = " and not shares of the frame" if 0 <= min(x, y) and max(x, y, w, h) <= 1 else ""
+        shares = " and not shares of the frame" if min(x, y) >= 0 and max(x, y, w, h) <= 1 else ""
         raise BadBox(f"a side of the box is less than a pixel; a box is x, y, w, h in pixels{shares}")
     inside_w = min(x + w, width) - max(x, 0.0)
     inside_h = min(y + h, height) - max(y, 0.0)

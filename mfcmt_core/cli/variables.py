@@ -11,7 +11,7 @@ PREFIX = "MFCMT_"
 OWN = ("MFCMT_OTB_ROOT", "MFCMT_CI")
 """Read by the command and by the tests, beside the settings of the service."""
 OF_CLUSTERS = re.compile(r"MFCMT_(\w+_)?(SERVICE_(HOST|PORT)(_\w+)?|PORT_\d+_(TCP|UDP)(_\w+)?)|MFCMT_VERSION")
-"""What Kubernetes and Docker set where a service's name begins with ``mfcmt``, and the image's tag in a compose file."""
+"""What Kubernetes and Docker set where a service's name begins with ``mfcmt``, and the image's tag (compose)."""
 
 
 def unread_variables(settings: Iterable[str]) -> list[str]:

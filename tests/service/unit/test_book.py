@@ -26,7 +26,7 @@ class Lanes:
     """Places, and an answer to everything."""
 
     def __init__(self, places: int) -> None:
-        self.places = places
+        self.places, self.ready = places, True
         self.keys: set[str] = set()
         self.lost: asyncio.Queue[LaneEvent] = asyncio.Queue()
         self.refuse: str | None = None
@@ -65,7 +65,7 @@ class Lanes:
             yield await self.lost.get()
 
     def status(self) -> list[LaneStatus]:
-        return []
+        return [LaneStatus(0, self.ready, False, len(self.keys), {})]
 
     def usage(self) -> list[LaneUsage]:
         return []
