@@ -52,7 +52,7 @@ def check_box(box: Iterable[float], frame_size: tuple[int, int]) -> Box:
     if inside_w <= 0 or inside_h <= 0 or inside_w * inside_h < 0.25 * w * h:
         told = f"less than a quarter of the box lies in the frame of {width}x{height}; a box is x, y, w, h"
         if 0 <= x < w <= width and 0 <= y < h <= height:
-            told += f". These numbers fit as corners x1, y1, x2, y2: that box is {x:g}, {y:g}, {w - x:g}, {h - y:g}"
+            told += ". These numbers fit as corners x1, y1, x2, y2: then w is x2 - x1 and h is y2 - y1"
         raise BadBox(told)
     return x, y, w, h
 

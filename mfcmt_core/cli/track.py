@@ -106,7 +106,8 @@ def _follow(
         if video:
             stack.callback(video.close)
         sink: TextIO = stack.enter_context(open(output, "w", newline="\n")) if output else sys.stdout
-        bar = stack.enter_context(Progress(source.length))
+        shown = bool(output) or not sys.stdout.isatty()  # on one terminal the boxes themselves tell how far it is
+        bar = stack.enter_context(Progress(source.length, shown=shown))
         for result, text in formats.lines(style, results()):
             sink.write(text)
             if source.live:

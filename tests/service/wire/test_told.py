@@ -88,7 +88,7 @@ async def test_a_bad_box_says_the_frames_size_and_the_order_and_knows_corners(wi
     width, height = clip.size
     cases = [
         ((width + 9, 5, 30, 30), f"in the frame of {width}x{height}; a box is x, y, w, h", False),
-        ((width - 60, height - 70, width - 20, height - 10), f"x1, y1, x2, y2: that box is {width - 60}", True),
+        ((width - 60, height - 70, width - 20, height - 10), "fit as corners x1, y1, x2, y2: then w is x2 - x1", True),
         ((0.4, 0.33, 0.2, 0.32), "in pixels and not shares of the frame", False),
         ((9, 9, 0, 5), "w and h are above 0; a box is x, y, w, h", False),
     ]
