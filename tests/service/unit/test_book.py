@@ -71,6 +71,18 @@ class Lanes:
         return []
 
 
+async def test_who_comes_before_a_lane_is_ready_is_told_so() -> None:
+    lanes = Lanes(0)
+    lanes.ready = False
+    book = SessionBook(Settings(), lanes, Metrics())
+    with pytest.raises(ProblemError, match="no lane is ready yet: the service has just started") as refused:
+        await book.create("a", b"", [], Options("default", "reject", None, False, 60), None)
+    assert (refused.value.code, refused.value.members) == ("at-capacity", {"retry_after_s": 1.0})
+    lanes.ready = True
+    with pytest.raises(ProblemError, match="no place for another session"):
+        await book.create("a", b"", [], Options("default", "reject", None, False, 60), None)
+
+
 class Stream:
     """An attachment that notes how it ended."""
 
