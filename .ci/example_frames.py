@@ -13,7 +13,7 @@ from mfcmt_core import synthetic
 FRAMES = Path(__file__).resolve().parents[1] / "docs" / "examples" / "frames"
 COUNT = 10
 EVERY = 3
-QUALITY = 80
+ENCODER = [cv2.IMWRITE_JPEG_QUALITY, 80]
 
 
 def rendered() -> synthetic.Sequence:
@@ -27,7 +27,7 @@ def main() -> None:
     size = 0
     for number in range(COUNT):
         path = FRAMES / f"{number + 1:04d}.jpg"
-        cv2.imwrite(str(path), clip.frames[EVERY * number], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+        cv2.imwrite(str(path), clip.frames[EVERY * number], ENCODER)
         size += path.stat().st_size
     box = ",".join(f"{value:.0f}" for value in clip.boxes[0])
     sys.stdout.write(f"{COUNT} frames, {size / 1e3:.0f} kB, box {box}\n")

@@ -31,7 +31,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument("source", metavar="SOURCE", help="a folder of images, a video file or a camera's number")
     start = parser.add_mutually_exclusive_group(required=True)
-    start.add_argument("--box", metavar="X,Y,W,H", help="the target in the first frame, px, 0-based")
+    start.add_argument("--box", metavar="X,Y,W,H", help="the target in the first frame, px, 0-based; commas or spaces")
     start.add_argument("--select", action="store_true", help="draw the box in a page that opens in the browser")
     parser.add_argument("--no-browser", action="store_true", help="with --select: print the page's address only")
     parser.add_argument("--format", choices=sorted(formats.FORMATS), help="default: by the suffix, else csv")
