@@ -42,18 +42,18 @@ def check_box(box: Iterable[float], frame_size: tuple[int, int]) -> Box:
     except (TypeError, ValueError, OverflowError) as error:
         raise BadBox(f"a box is four numbers x, y, w, h, not {box!r:.99}") from error
     if not all(map(isfinite, (x, y, w, h))):
-        raise BadBox(f"not finite: {(x, y, w, h)}")
+        raise BadBox("the box is not finite", (x, y, w, h))
     width, height = frame_size
     if not min(w, h) >= MIN_BOX_SIDE:
         shares = " and not shares of the frame" if min(x, y) >= 0 and max(x, y, w, h) <= 1 else ""
-        raise BadBox(f"a side of the box is less than a pixel; a box is x, y, w, h in pixels{shares}")
+        raise BadBox(f"a side of the box is less than a pixel; a box is x, y, w, h in pixels{shares}", (x, y, w, h))
     inside_w = min(x + w, width) - max(x, 0.0)
     inside_h = min(y + h, height) - max(y, 0.0)
     if inside_w <= 0 or inside_h <= 0 or inside_w * inside_h < 0.25 * w * h:
         told = f"less than a quarter of the box lies in the frame of {width}x{height}; a box is x, y, w, h"
         if 0 <= x < w <= width and 0 <= y < h <= height:
             told += ". These numbers fit as corners x1, y1, x2, y2: then w is x2 - x1 and h is y2 - y1"
-        raise BadBox(told)
+        raise BadBox(told, (x, y, w, h))
     return x, y, w, h
 
 

@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         try:
             start = tracker.init(first, box)
         except BadBox as bad:
-            raise UsageError(f"box {','.join(f'{v:g}' for v in box)}: {bad}") from bad
+            raise UsageError(f"box {','.join(f'{v:g}' for v in box)}: {bad.reason}") from bad
         counts = _follow(tracker, start, first, source, style, args.output, video)
     except MediaError as failed:
         print(f"mfcmt track: {failed}", file=sys.stderr)

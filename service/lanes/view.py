@@ -40,7 +40,7 @@ class View:
         try:
             return tracker.init(self.image, (x, y, w, h), offset=self.offset, frame_size=self.frame_size)
         except BadBox as bad:
-            raise Refused("bad-box", str(bad)) from bad
+            raise Refused("bad-box", bad.reason) from bad
         except RegionTooSmall as cut:
             whole = [0, 0, width, height]
             raise Refused("full-frame-needed", "send the whole frame", region=whole) from cut
