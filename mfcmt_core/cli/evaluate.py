@@ -7,7 +7,7 @@ import os
 import shlex
 import sys
 from collections.abc import Sequence as Seq
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -154,16 +154,15 @@ def _complain(trackers: list[Entry | ResultFolder], evaluations: list[Evaluation
     return any(e.missing and e.tracker in ran for e in evaluations)
 
 
-class _Bar(ExitStack):
-    """A progress bar whose total is known when the first steps are done."""
+class _Bar(Progress):
+    """Progress as an evaluation tells it, whose total is known when the first steps are done."""
 
     def __init__(self, label: str) -> None:
-        super().__init__()
+        super().__init__(None)
         self._label = label
-        self._done = 0
-        self._bar: Progress | None = None
+        self._told = 0
 
     def __call__(self, done: int, total: int) -> None:
-        self._bar = self._bar or self.enter_context(Progress(total))
-        self._bar.step(self._label, done - self._done)
-        self._done = done
+        self.total = total
+        self.step(self._label, done - self._told)
+        self._told = done

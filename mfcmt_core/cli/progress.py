@@ -17,11 +17,12 @@ class Progress:
     """``with Progress(total, "frames") as bar:`` and then ``bar.step("note")`` for each thing that is done.
 
     Work that is told when it starts says ``bar.begin("note")`` instead. With ``timed`` the total is in seconds, and
-    the clock counts. Silent where the standard error is no terminal, or ``shown`` is false.
+    the clock counts. ``total`` may be set later, where it is not known at first. Silent where the standard error is
+    no terminal, or ``shown`` is false.
     """
 
     def __init__(self, total: float | None, unit: str = "frames", *, timed: bool = False, shown: bool = True) -> None:
-        self._total, self._unit, self._timed = total, unit, timed
+        self.total, self._unit, self._timed = total, unit, timed
         self._done, self._note, self._begun = 0, "", 0
         self._start = self._stepped = time.monotonic()
         self._shown = shown and sys.stderr.isatty()
@@ -48,7 +49,7 @@ class Progress:
             self._draw(time.monotonic())
 
     def _draw(self, now: float, *, over: bool = False) -> None:
-        passed, total = now - self._start, self._total
+        passed, total = now - self._start, self.total
         done = min(passed, total or passed) if self._timed else self._done
         parts = [f"{done:.0f}/{total:.0f} {self._unit}" if total else f"{done:.0f} {self._unit}"]
         if over:

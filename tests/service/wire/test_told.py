@@ -98,6 +98,7 @@ async def test_a_bad_box_says_the_frames_size_and_the_order_and_knows_corners(wi
         assert problem(refused) == (422, "bad-box"), refused.text
         assert told in refused.json()["detail"]
         assert ("corners" in refused.json()["detail"]) == corners
+        assert "it is (" not in refused.json()["detail"]  # details are logged, and boxes never are
         added = await wire.http.post(f"/v1/sessions/{session['id']}/targets", json={"box": list(box)})
         assert added.json()["detail"] == refused.json()["detail"]
     assert refused.json()["title"] == "The box cannot be tracked"
