@@ -54,7 +54,7 @@ def run(call: list[str], cwd: Path = ROOT, **environment: str) -> subprocess.Com
 @pytest.fixture(scope="module")
 def said() -> list[Any]:
     """What the library says of the frames, read as the service reads them."""
-    from service.frames.decode import decode
+    from mfcmt_core.images.decode import decode
     from service.load.clips import LIMITS
 
     files = sorted(FRAMES.glob("*.jpg"))
