@@ -12,7 +12,14 @@ class BadConfig(MFCMTError, ValueError):
 
 
 class BadBox(MFCMTError, ValueError):
-    """The box is not four finite numbers, has no area, or lies outside the frame."""
+    """The box is not four finite numbers, has a side below one pixel, or lies outside the frame.
+
+    ``reason`` says what is wrong and never repeats the box.
+    """
+
+    def __init__(self, reason: str, box: object = None) -> None:
+        super().__init__(reason if box is None else f"{reason} (it is {box})")
+        self.reason = reason
 
 
 class BadImage(MFCMTError, ValueError):

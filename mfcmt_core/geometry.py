@@ -27,13 +27,14 @@ Rect = tuple[int, int, int, int]
 """``(x, y, w, h)`` in whole pixels of the frame."""
 
 MAX_FRAME_SIDE = 1 << 20
-MIN_BOX_SIDE = 1e-3
+MIN_BOX_SIDE = 1.0
+"""Pixels; a smaller box is no picture of anything, and mostly a share of the frame where pixels are meant."""
 CELL = 4
 """Side of a cell in pixels of the patch (section IV-A)."""
 
 
 def check_box(box: Iterable[float], frame_size: tuple[int, int]) -> Box:
-    """The box as four floats. Raises BadBox unless finite, of positive size and a quarter inside the frame."""
+    """The box as four floats. Raises BadBox unless finite, of a pixel at least and a quarter inside the frame."""
     try:
         if isinstance(box, str | bytes):
             raise TypeError("text")
@@ -41,13 +42,18 @@ def check_box(box: Iterable[float], frame_size: tuple[int, int]) -> Box:
     except (TypeError, ValueError, OverflowError) as error:
         raise BadBox(f"a box is four numbers x, y, w, h, not {box!r:.99}") from error
     if not all(map(isfinite, (x, y, w, h))):
-        raise BadBox(f"not finite: {(x, y, w, h)}")
+        raise BadBox("the box is not finite", (x, y, w, h))
+    width, height = frame_size
     if not min(w, h) >= MIN_BOX_SIDE:
-        raise BadBox(f"no area: {(x, y, w, h)}")
-    inside_w = min(x + w, frame_size[0]) - max(x, 0.0)
-    inside_h = min(y + h, frame_size[1]) - max(y, 0.0)
+        shares = " and not shares of the frame" if min(x, y) >= 0 and max(x, y, w, h) <= 1 else ""
+        raise BadBox(f"a side of the box is less than a pixel; a box is x, y, w, h in pixels{shares}", (x, y, w, h))
+    inside_w = min(x + w, width) - max(x, 0.0)
+    inside_h = min(y + h, height) - max(y, 0.0)
     if inside_w <= 0 or inside_h <= 0 or inside_w * inside_h < 0.25 * w * h:
-        raise BadBox(f"less than a quarter of {(x, y, w, h)} lies inside the frame of {frame_size}")
+        told = f"less than a quarter of the box lies in the frame of {width}x{height}; a box is x, y, w, h"
+        if 0 <= x < w <= width and 0 <= y < h <= height:
+            told += ". These numbers fit as corners x1, y1, x2, y2: then w is x2 - x1 and h is y2 - y1"
+        raise BadBox(told, (x, y, w, h))
     return x, y, w, h
 
 

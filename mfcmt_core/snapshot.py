@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from .config import MFCMTConfig
 from .errors import BadConfig, BadSnapshot
-from .geometry import MAX_FRAME_SIDE, MIN_BOX_SIDE
+from .geometry import MAX_FRAME_SIDE
 from .reliability import HISTORY
 from .scale import LANES
 
@@ -28,6 +28,8 @@ SINCE = {"scale_interval": 1, "surroundings_weight": 0.0}
 """Parameters that it did not know, as it had them."""
 MAX_VALUE = 1e12
 """Of any array: far above what images give, and responses to it stay inside float32."""
+MIN_SIDE = 1e-3
+"""Of a target: trackers that were made before boxes below a pixel were refused are still read."""
 SIGNED = ("scale_waves",)
 """Arrays of real numbers that may be negative."""
 MAX_BYTES = 16 << 20
@@ -96,7 +98,7 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
     try:
         config = MFCMTConfig.from_dict((SINCE if document["version"] == PREVIOUS else {}) | document["config"])
         width, height = (_integer(v, 1, MAX_FRAME_SIDE) for v in document["frame_size"])
-        w, h = (_number(v, MIN_BOX_SIDE, 4 * MAX_FRAME_SIDE) for v in document["base_size"])
+        w, h = (_number(v, MIN_SIDE, 4 * MAX_FRAME_SIDE) for v in document["base_size"])
         if document["version"] == PREVIOUS:
             document["anchor"] = document["center"]
         center, anchor = (_place(document[name], (width, height)) for name in ("center", "anchor"))

@@ -89,7 +89,9 @@ def create_app(
     for prefix, some in routers.items():
         for router in some:
             app.include_router(router, prefix=prefix)
-    app.router.routes.append(WebSocketRoute("/v1/sessions/{session_id}/stream", StreamEndpoint(service)))
+    stream = StreamEndpoint(service)
+    for path in ("/v1/sessions/{session_id}/stream", "/{path:path}"):  # the second refuses
+        app.router.routes.append(WebSocketRoute(path, stream))
     app.add_middleware(Surroundings, service=service)
     errors.install(app)
     openapi.install(app, routers, settings)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 MEDIA_TYPE = "application/problem+json"
+NO_PLACE = "no place for another session"
+NO_LANE = "no lane is ready yet: the service has just started; come again in a moment"
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,10 +20,10 @@ class Kind:
 
 
 CATALOGUE: dict[str, Kind] = {
-    "bad-request": Kind(400, "The request is malformed", "box is four numbers"),
+    "bad-request": Kind(400, "The request is malformed", "a box is four numbers, [x, y, w, h]"),
     "unauthenticated": Kind(401, "A valid key or ticket is needed", "no key was shown"),
     "origin-refused": Kind(403, "This browser origin is not allowed", "the origin is not on the list"),
-    "not-found": Kind(404, "There is nothing at this path", "no such path"),
+    "not-found": Kind(404, "There is nothing at this path", "no such path; /docs has them all"),
     "session-not-found": Kind(404, "There is no such session", "no session of this id"),
     "target-not-found": Kind(404, "There is no such target", "no target 7"),
     "method-not-allowed": Kind(405, "The path does not know this method", "see Allow"),
@@ -37,7 +39,11 @@ CATALOGUE: dict[str, Kind] = {
     "unsupported-media-type": Kind(415, "The body's media type is not known here", "application/json is read"),
     "frame-undecodable": Kind(422, "The image cannot be decoded", "the jpeg image is damaged"),
     "frame-size-changed": Kind(422, "The frame is not of the session's size", "640x480 expected, 480x640 sent"),
-    "bad-box": Kind(422, "The box cannot be tracked", "less than a quarter of the box is in the frame"),
+    "bad-box": Kind(
+        422,
+        "The box cannot be tracked",
+        "less than a quarter of the box lies in the frame of 640x480; a box is x, y, w, h",
+    ),
     "bad-region": Kind(422, "The region cannot be used", "the region does not cover what is needed"),
     "bad-snapshot": Kind(422, "The snapshot cannot be restored", "the signature does not match"),
     "too-many-targets": Kind(422, "The session has too many targets", "at most 16 targets"),
@@ -45,7 +51,7 @@ CATALOGUE: dict[str, Kind] = {
     "rate-limited": Kind(429, "Too many messages or calls", "slow down"),
     "over-quota": Kind(429, "The key has as much as it may have", "at most 1024 sessions of a key"),
     "internal": Kind(500, "A fault of the service", "the fault is logged under the request id"),
-    "at-capacity": Kind(503, "The service is full", "no place for another session"),
+    "at-capacity": Kind(503, "The service has no room now", NO_PLACE),
     "draining": Kind(503, "The service is going away", "the service is going away"),
     "deadline-exceeded": Kind(504, "The operation took longer than its limit", "the operation took too long"),
 }

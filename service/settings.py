@@ -16,6 +16,8 @@ from pydantic_settings import (
     SettingsConfigDict,
 )
 
+from mfcmt_core.cli.variables import unread_variables
+
 from . import environment
 from .keys import LEAST_CHARACTERS, check_key, read_keys
 from .lanes.cores import default_lanes
@@ -32,6 +34,11 @@ Names = Annotated[tuple[str, ...], NoDecode]
 
 def _positive(default: float, description: str, most: float = TEN_YEARS_S) -> Any:
     return Field(default=default, gt=0, le=most, allow_inf_nan=False, description=description)
+
+
+def unread_settings() -> list[str]:
+    """A line for each ``MFCMT_*`` variable that is no setting, with the nearest name that is one."""
+    return unread_variables(f"MFCMT_{name.upper()}" for name in Settings.model_fields)
 
 
 class Settings(BaseSettings):

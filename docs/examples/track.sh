@@ -3,16 +3,20 @@
 # SERVICE is the service's URL, KEY an API key where it wants one.
 set -eu
 service=${SERVICE:-http://127.0.0.1:8000}
-folder=$1 box=$2
+folder=${1:?track.sh FOLDER x,y,w,h} box=${2:?track.sh FOLDER x,y,w,h}
 call() { curl --silent --show-error --fail-with-body ${KEY:+-H "Authorization: Bearer $KEY"} "$@"; }
+fail() { echo "$1" >&2; exit 1; }
 
-set -- "$folder"/*.jpg
-session=$(call -F "frame=@$1" -F "box=$box" "$service/v1/sessions") || { echo "$session" >&2; exit 1; }
+# Frames in the order of their numbers: 2.jpg before 10.jpg.
+frames=$(for frame in "$folder"/*.jpg; do [ ! -e "$frame" ] || echo "$frame"; done | sort -V)
+[ "$frames" ] || fail "no .jpg in $folder"
+first=$(echo "$frames" | head -n 1)
+session=$(call -F "frame=@\"$first\"" -F "box=$box" "$service/v1/sessions") || fail "$session"
 id=$(echo "$session" | sed 's/.*"id": *"\([^"]*\)".*/\1/')
-shift
 
-for frame in "$@"; do
-  call -H 'Content-Type: image/jpeg' --data-binary "@$frame" "$service/v1/sessions/$id/frames" > /dev/null
+echo "$frames" | tail -n +2 | while IFS= read -r frame; do
+  told=$(call -H 'Content-Type: image/jpeg' --data-binary "@$frame" "$service/v1/sessions/$id/frames") ||
+    fail "$frame: $told"
 done
 
 call "$service/v1/sessions/$id/trajectory?format=csv"

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
-from service.client import Client, Region
+from service.client import Client, ClientError, Region
 
 JPEG_QUALITY = 80
 
@@ -43,11 +43,11 @@ def encode(frame: np.ndarray, region: Region | None) -> bytes:
 def main(source: str, *boxes: str) -> None:
     """Track ``boxes`` (``x,y,w,h`` in the first frame) until the source ends."""
     live = source.isdigit() or "://" in source
+    wanted = [[float(v) for v in box.split(",")] for box in boxes]
     video = cv2.VideoCapture(int(source) if source.isdigit() else source)
     there, first = video.read()
     if not there:
         sys.exit(f"no frame in {source}")
-    wanted = [[float(v) for v in box.split(",")] for box in boxes]
     with (
         Client(os.environ.get("SERVICE", "http://127.0.0.1:8000"), key=os.environ.get("KEY")) as client,
         client.create(encode(first, None), boxes=wanted) as session,
@@ -58,7 +58,14 @@ def main(source: str, *boxes: str) -> None:
             for target in result.targets:
                 x, y, w, h = target.box
                 print(f"{result.seq},{target.id},{x:.2f},{y:.2f},{w:.2f},{h:.2f},{target.status}", flush=True)
+    if live:
+        sys.exit(f"{source} gives no more frames")  # a camera has no end of its own
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    if len(sys.argv) < 3:
+        sys.exit("python track_video.py SOURCE x,y,w,h [x,y,w,h ...]")
+    try:
+        main(*sys.argv[1:])
+    except (ClientError, ValueError) as failed:
+        sys.exit(str(failed))

@@ -67,6 +67,10 @@ def main(argv: list[str] | None = None) -> int:
                 print(f"mfcmt {name}: needs {missing.name}: pip install 'mfcmt[service]'", file=sys.stderr)
                 return 1
             module.configure(sub)
+    if "--box" in argv:
+        from .boxes import join_box
+
+        argv = join_box(argv)
     args = parser.parse_args(argv)
     assert module is not None
     try:

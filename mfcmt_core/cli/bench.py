@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -20,12 +21,15 @@ from .measure import (
     Material,
     StageClock,
     pin,
+    real_lengths,
     real_material,
     spread,
     synthetic_material,
     timed_run,
     warm_up,
 )
+from .progress import Progress
+from .variables import misspelt_variables
 
 BUSY = 1.15
 """Wall over processor time above which others had the core too."""
@@ -66,15 +70,18 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"no core {args.core} for this process")
     if args.costs and (args.peers or args.clip or args.data):
         raise UsageError("--costs renders its own clip and goes with neither --peers, --clip nor --data")
+    for line in misspelt_variables():
+        print(f"mfcmt bench: {line}", file=sys.stderr)
     machine = pin(args.core)
     if args.costs:
         report = costs.measure(MFCMTConfig.preset(args.preset), args.frames)
         text = costs.table(report)
     elif args.peers:
-        report = versus.measure(material(args, versus.default_data()), args.preset)
+        default = versus.default_data()
+        report = versus.measure(material(args, default), args.preset, frames_of(args, default))
         text = versus.table(report)
     else:
-        report = measure(material(args), args.preset, args.repeat)
+        report = measure(material(args), args.preset, args.repeat, frames_of(args))
         text = table(report)
     if args.json:
         print(json.dumps({"machine": machine} | report, indent=1, allow_nan=False))
@@ -91,14 +98,29 @@ def material(args: argparse.Namespace, default: Path | None = None) -> Iterator[
     return synthetic_material(args.clip or "sample", args.frames)
 
 
-def measure(materials: Iterable[Material], preset: str, repeat: int) -> dict[str, Any]:
-    """Time whole updates first, then once more with a clock on each stage."""
+def frames_of(args: argparse.Namespace, default: Path | None = None) -> int:
+    """How many frames :func:`material` has, without decoding any."""
+    data = args.data or (None if args.clip else default)
+    lengths = real_lengths(data, args.sequences) if data else [synthetic.SCENES[args.clip or "sample"].length]
+    return sum(min(args.frames or length, length) for length in lengths)
+
+
+def measure(materials: Iterable[Material], preset: str, repeat: int, frames: int | None = None) -> dict[str, Any]:
+    """Time whole updates first, then once more with a clock on each stage; ``frames`` there are in all materials."""
+    with Progress(frames and frames * (repeat + 1)) as bar:
+        return _measure(materials, preset, repeat, bar)
+
+
+def _measure(materials: Iterable[Material], preset: str, repeat: int, bar: Progress) -> dict[str, Any]:
     config = MFCMTConfig.preset(preset)
     clock, clips = StageClock(), []
     updates, walls = [], []
     for item in materials:
         warm_up(MFCMT(config), item)
-        runs = [timed_run(MFCMT(config), item) for _ in range(repeat)]
+        runs = []
+        for _ in range(repeat):
+            runs.append(timed_run(MFCMT(config), item))
+            bar.step(item.name, len(item.frames))
         cpu = np.concatenate([r.cpu[1:] for r in runs])
         tracked = cpu[~np.concatenate([r.lost[1:] for r in runs])]
         updates.append(cpu)
@@ -116,6 +138,7 @@ def measure(materials: Iterable[Material], preset: str, repeat: int) -> dict[str
             for frame in item.frames[1:]:
                 tracker.update(frame)
                 clock.end_frame()
+        bar.step(item.name, len(item.frames))
     everything, wall = np.concatenate(updates), np.concatenate(walls)
     stages = {
         name: _milliseconds(np.array(clock.seconds[name])) | {"calls": float(np.mean(clock.calls[name]))}

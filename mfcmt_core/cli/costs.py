@@ -16,11 +16,14 @@ from ..config import MFCMTConfig
 from ..geometry import Image
 from ..result import Box
 from ..tracker import MFCMT
+from .progress import Progress
 
 VGA, FULL_HD = (640, 480), (1920, 1080)
 TARGETS = 10
 TRACKERS = 8
 PASSES = 3
+REST = 2
+"""Steps behind those of the blocks: targets and cores."""
 BLOCK = 20
 """Frames that one of two compared runs goes on for before it is the other's turn: both see the same machine."""
 NEVER_FOUND: dict[str, Any] = dict.fromkeys(("fused_threshold", "template_threshold", "statistical_threshold"), 10.0)
@@ -42,20 +45,27 @@ def measure(config: MFCMTConfig, frames: int | None) -> dict[str, Any]:
         "lost_vga": Stepper(lost, images, box),
         "lost_full_hd": Stepper(lost, large, large_box),
     }
-    for _ in range(PASSES):
-        for run in runs.values():
-            run.restart()
-        for _ in range(0, len(images), BLOCK):
+    blocks = len(range(0, len(images), BLOCK))
+    with Progress(PASSES * blocks * len(runs) + REST, "steps") as bar:
+        for _ in range(PASSES):
             for run in runs.values():
-                run.go(BLOCK)
+                run.restart()
+            for _ in range(blocks):
+                for name, run in runs.items():
+                    run.go(BLOCK)
+                    bar.step(name)
+        bar.begin("targets")
+        targets = _targets(config, images, box)
+        bar.begin("cores")
+        cores = _cores(config, len(images), box)
     ms = {name: median(run.seconds) * 1e3 for name, run in runs.items()}
     return {
         "clip": {"frames": len(images), "target": [w, h]},
         "update_ms": ms,
         "full_hd_over_vga": ms["full_hd"] / ms["vga"],
         "lost_over_found": {"vga": ms["lost_vga"] / ms["vga"], "full_hd": ms["lost_full_hd"] / ms["full_hd"]},
-        "targets": _targets(config, images, box),
-        "cores": _cores(config, len(images), box),
+        "targets": targets,
+        "cores": cores,
     }
 
 

@@ -7,7 +7,7 @@ import os
 import shlex
 import sys
 from collections.abc import Sequence as Seq
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from ..otb import film
 from ..otb.catalogue import resolve
 from ..otb.dataset import Dataset
 from ..otb.document import Picture, to_markdown
-from ..otb.errors import DataError
+from ..otb.errors import DataError, NoData
 from ..otb.layouts import LAYOUTS, open_dataset
 from ..otb.protocol import PROTOCOLS
 from ..otb.report import Results, write_report
@@ -28,7 +28,12 @@ from ..otb.tables import summary
 from ..otb.trackers import Entry, ResultFolder
 from . import UsageError
 from .progress import Progress
+from .variables import misspelt_variables
 
+WANTED = (
+    "name a folder of sequences with --data or MFCMT_OTB_ROOT, each with its images in NAME/img and its boxes in "
+    "NAME/groundtruth_rect.txt; docs/evaluation.md has where to get OTB, which is not part of this project"
+)
 SUBSETS = {"otb2015": "OTB-2015", "otb2013": "OTB-2013", "tb50": "TB-50"}
 
 
@@ -101,9 +106,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _dataset(args: argparse.Namespace) -> Dataset:
+    for line in misspelt_variables():
+        print(f"mfcmt eval: {line}", file=sys.stderr)
     if not args.data.is_dir():
-        raise UsageError(f"no data at {args.data}: name the folder of sequences with --data")
-    dataset = open_dataset(args.data, args.layout, SUBSETS[args.set])
+        raise UsageError(f"no data at {args.data}: {WANTED}")
+    try:
+        dataset = open_dataset(args.data, args.layout, SUBSETS[args.set])
+    except NoData as nothing:
+        raise UsageError(f"{nothing}: {WANTED}") from nothing
     if args.sequences:
         return dataset.select(args.sequences.split(","))
     if dataset.missing:
@@ -144,16 +154,15 @@ def _complain(trackers: list[Entry | ResultFolder], evaluations: list[Evaluation
     return any(e.missing and e.tracker in ran for e in evaluations)
 
 
-class _Bar(ExitStack):
-    """A progress bar whose total is known when the first steps are done."""
+class _Bar(Progress):
+    """Progress as an evaluation tells it, whose total is known when the first steps are done."""
 
     def __init__(self, label: str) -> None:
-        super().__init__()
+        super().__init__(None)
         self._label = label
-        self._done = 0
-        self._bar: Progress | None = None
+        self._told = 0
 
     def __call__(self, done: int, total: int) -> None:
-        self._bar = self._bar or self.enter_context(Progress(total))
-        self._bar.step(self._label, done - self._done)
-        self._done = done
+        self.total = total
+        self.step(self._label, done - self._told)
+        self._told = done

@@ -80,6 +80,12 @@ def real_material(root: Path, names: str | None, frames: int | None) -> Iterator
         yield _decoded(sequence, sequence.read, frames)
 
 
+def real_lengths(root: Path, names: str | None) -> list[int]:
+    """How many frames each sequence of :func:`real_material` has. Raises DataError."""
+    dataset = open_dataset(root)
+    return [len(sequence) for sequence in (dataset.select(names.split(",")) if names else dataset)]
+
+
 def _decoded(sequence: Sequence, read: Callable[[int], Image], frames: int | None) -> Material:
     count = min(frames or len(sequence), len(sequence))
     first = {name: getattr(sequence, name)[:count] for name in ("frames", "boxes", "valid", "startable")}

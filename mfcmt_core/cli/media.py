@@ -53,6 +53,13 @@ def open_source(text: str) -> Source:
         return _video(str(path))
     if text.isascii() and text.isdigit():
         return _video(int(text))
+    scheme, is_url, _ = text.partition("://")
+    if is_url:
+        raise UsageError(
+            f"{scheme}:// is not read here, only a folder of images, a video file or a camera's number: "
+            "save it first (ffmpeg -i URL -t 60 clip.mp4), or follow it live with mfcmt serve and "
+            "docs/examples/track_video.py URL x,y,w,h"
+        )
     raise UsageError(f"no folder, video file or camera: {text}")
 
 

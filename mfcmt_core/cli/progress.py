@@ -1,47 +1,87 @@
-"""A line that tells how far the work is, on a terminal and nowhere else."""
+"""A line that tells how far the work is and how long it will take, on a terminal and nowhere else."""
 
 from __future__ import annotations
 
 import shutil
 import sys
+import threading
 import time
 from types import TracebackType
 from typing import Self
 
+EVERY_S = 0.25
+"""Between two drawings; another thread draws, so that the work itself only counts."""
+
 
 class Progress:
-    """``with Progress(total) as bar: bar.step("note")``; silent where the standard error is no terminal."""
+    """``with Progress(total, "frames") as bar:`` and then ``bar.step("note")`` for each thing that is done.
 
-    def __init__(self, total: int | None) -> None:
-        self._total, self._done, self._note = total, 0, ""
-        self._start = self._drawn = time.monotonic()
-        self._shown = sys.stderr.isatty()
+    Work that is told when it starts says ``bar.begin("note")`` instead. With ``timed`` the total is in seconds, and
+    the clock counts. ``total`` may be set later, where it is not known at first. Silent where the standard error is
+    no terminal, or ``shown`` is false.
+    """
+
+    def __init__(self, total: float | None, unit: str = "frames", *, timed: bool = False, shown: bool = True) -> None:
+        self.total, self._unit, self._timed = total, unit, timed
+        self._done, self._note, self._begun = 0, "", 0
+        self._start = self._stepped = time.monotonic()
+        self._shown = shown and sys.stderr.isatty()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._draw_often, daemon=True)
 
     def __enter__(self) -> Self:
+        if self._shown:
+            self._thread.start()
         return self
 
     def step(self, note: str = "", count: int = 1) -> None:
-        """``count`` more are done; redraws at most ten times a second."""
+        """``count`` more are done."""
         self._done += count
-        self._note = note
-        if self._shown and time.monotonic() - self._drawn > 0.1:
-            self._draw()
+        self._note, self._stepped = note, time.monotonic()
 
-    def _draw(self) -> None:
-        self._drawn = time.monotonic()
-        rate = self._done / max(self._drawn - self._start, 1e-9)
-        text = f"{self._done}/{self._total}" if self._total else f"{self._done}"
-        text = f"{text} frames  {rate:.0f}/s  {self._note}"
-        if self._total:
-            room = max(10, min(40, shutil.get_terminal_size().columns - len(text) - 4))
-            full = min(room, room * self._done // self._total)
+    def begin(self, note: str, count: int = 1) -> None:
+        """What was begun before is done, and something that counts for ``count`` begins."""
+        self.step(note, self._begun)
+        self._begun = count
+
+    def _draw_often(self) -> None:
+        while not self._over.wait(EVERY_S):
+            self._draw(time.monotonic())
+
+    def _draw(self, now: float, *, over: bool = False) -> None:
+        passed, total = now - self._start, self.total
+        done = min(passed, total or passed) if self._timed else self._done
+        parts = [f"{done:.0f}/{total:.0f} {self._unit}" if total else f"{done:.0f} {self._unit}"]
+        if over:
+            parts.append(f"in {_clock(passed)}")
+        elif total and done:
+            # From how long the last step took to come, counted down until the next.
+            took, since = (passed, 0.0) if self._timed else (self._stepped - self._start, now - self._stepped)
+            parts.append(f"{_clock(max(0.0, took / done * (total - done) - since))} left")
+        if not self._timed:
+            parts.append(f"{done / max(passed, 1e-9):.3g}/s")
+        text, columns = "  ".join([*parts, self._note]), shutil.get_terminal_size().columns
+        if total:
+            room = max(10, min(40, columns - len(text) - 4))
+            full = min(room, int(room * done / total))
             text = "━" * full + "╌" * (room - full) + "  " + text
-        sys.stderr.write("\r\x1b[2K" + text)
+        sys.stderr.write("\r\x1b[2K" + text[: columns - 1])
         sys.stderr.flush()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._shown and self._done:
-            self._draw()
-            sys.stderr.write("\n")
+        if not self._shown:
+            return
+        self._over.set()
+        self._thread.join()
+        if kind is None:
+            self._done += self._begun
+        self._draw(time.monotonic(), over=True)
+        sys.stderr.write("\n")
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"

@@ -13,15 +13,15 @@ from pathlib import Path
 from typing import TextIO
 
 import cv2
-import numpy as np
 
 from ..config import PRESETS, MFCMTConfig
 from ..errors import BadBox
 from ..otb.catalogue import read_config
 from ..otb.errors import DataError
-from ..result import Box, TrackResult
+from ..result import TrackResult
 from ..tracker import MFCMT
 from . import UsageError, formats
+from .boxes import parse_box
 from .media import Image, MediaError, Source, VideoFile, open_source
 from .overlay import Overlay
 from .progress import Progress
@@ -31,7 +31,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument("source", metavar="SOURCE", help="a folder of images, a video file or a camera's number")
     start = parser.add_mutually_exclusive_group(required=True)
-    start.add_argument("--box", metavar="X,Y,W,H", help="the target in the first frame, px, 0-based")
+    start.add_argument("--box", metavar="X,Y,W,H", help="the target in the first frame, px, 0-based; commas or spaces")
     start.add_argument("--select", action="store_true", help="draw the box in a page that opens in the browser")
     parser.add_argument("--no-browser", action="store_true", help="with --select: print the page's address only")
     parser.add_argument("--format", choices=sorted(formats.FORMATS), help="default: by the suffix, else csv")
@@ -44,7 +44,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Do the work; the exit code."""
-    box = _box(args.box) if args.box is not None else None
+    box = parse_box(args.box) if args.box is not None else None
     config = _config(args.preset, args.config)
     style = args.format or formats.SUFFIXES.get(Path(args.output or "").suffix.lower(), "csv")
     source = open_source(args.source)
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         try:
             start = tracker.init(first, box)
         except BadBox as bad:
-            raise UsageError(f"box {','.join(f'{v:g}' for v in box)}: {bad}") from bad
+            raise UsageError(f"box {','.join(f'{v:g}' for v in box)}: {bad.reason}") from bad
         counts = _follow(tracker, start, first, source, style, args.output, video)
     except MediaError as failed:
         print(f"mfcmt track: {failed}", file=sys.stderr)
@@ -106,7 +106,8 @@ def _follow(
         if video:
             stack.callback(video.close)
         sink: TextIO = stack.enter_context(open(output, "w", newline="\n")) if output else sys.stdout
-        bar = stack.enter_context(Progress(source.length))
+        shown = bool(output) or not sys.stdout.isatty()  # on one terminal the boxes themselves tell how far it is
+        bar = stack.enter_context(Progress(source.length, shown=shown))
         for result, text in formats.lines(style, results()):
             sink.write(text)
             if source.live:
@@ -115,16 +116,6 @@ def _follow(
             bar.step(result.status)
         sink.flush()
     return counts
-
-
-def _box(text: str) -> Box:
-    try:
-        x, y, w, h = (float(v) for v in text.split(","))
-    except ValueError:
-        raise UsageError(f"--box takes four numbers x,y,w,h, not {text!r}") from None
-    if not np.isfinite([x, y, w, h]).all() or w <= 0 or h <= 0:
-        raise UsageError(f"--box has no area: {text}")
-    return x, y, w, h
 
 
 def _config(preset: str, file: str | None) -> MFCMTConfig:

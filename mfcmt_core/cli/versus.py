@@ -43,11 +43,12 @@ def default_data() -> Path | None:
     return root if root.is_dir() else None
 
 
-def measure(materials: Iterable[Material], preset: str) -> dict[str, Any]:
+def measure(materials: Iterable[Material], preset: str, all_frames: int | None = None) -> dict[str, Any]:
     """Run every tracker on each sequence in turn; who is first changes from sequence to sequence.
 
     A frame on which a peer says that it has lost the target costs it next to nothing, so it does not count
-    for its speed. Ours counts on every frame. Ratios are of medians, per sequence.
+    for its speed. Ours counts on every frame. Ratios are of medians, per sequence. ``all_frames`` are those of all
+    materials, for the time that is left.
     """
     peers = [Peer(name, name) for name in PEERS]
     present = [p for p in peers if not p.lacks]
@@ -60,11 +61,12 @@ def measure(materials: Iterable[Material], preset: str) -> dict[str, Any]:
     left_out = [f"{p.name}: {p.lacks} is not installed" for p in peers if p.lacks]
     spreads: dict[str, dict[str, float | None]] = {"one": {}, "least": {}}
     frames = 0
-    with Progress(None) as bar:
+    with Progress(all_frames and all_frames * len(entries)) as bar:
         for turn, item in enumerate(materials):
             frames += len(item.frames)
             for k in range(len(entries)):
                 entry = entries[(turn + k) % len(entries)]
+                bar.begin(f"{item.name} {entry.name}", len(item.frames))
                 try:
                     timed = _run(entry, item)
                 except (cv2.error, RuntimeError, TypeError, ValueError) as failed:
@@ -72,7 +74,6 @@ def measure(materials: Iterable[Material], preset: str) -> dict[str, Any]:
                         raise
                     left_out.append(f"{entry.name} on {item.name}: {type(failed).__name__}")
                     continue
-                bar.step(f"{item.name} {entry.name}")
                 if entry.name == OURS:
                     again = [timed_run(entry.make(), item).cpu for _ in range(PASSES - 1)]
                     for name, cpu in (("one", timed.cpu), ("least", np.min([timed.cpu, *again], axis=0))):

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..images.files import SUFFIXES, BadImageFile, read_image
-from .errors import DataError
+from .errors import DataError, NoData
 from .metrics import Array, Mask
 
 Image = npt.NDArray[np.uint8]
@@ -165,7 +165,7 @@ def open_otb(root: Path, subset: str = "OTB-2015") -> Dataset:
     places = locate_otb(root, subset)
     found = {target.name: _open_target(target, place) for target, place in places.items() if place}
     if not found:
-        raise DataError(f"{root}: none of the {len(places)} targets of {subset} is here")
+        raise NoData(f"{root}: none of the {len(places)} targets of {subset} is here")
     return Dataset(subset, found, tuple(t.name for t, place in places.items() if not place), root)
 
 

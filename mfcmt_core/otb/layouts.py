@@ -23,7 +23,7 @@ from .dataset import (
     open_otb,
     read_boxes,
 )
-from .errors import DataError
+from .errors import DataError, NoData
 from .metrics import Array
 
 ZERO_BASED: Array = np.zeros(4)
@@ -130,5 +130,5 @@ def _upright(lines: Array) -> Array:
 
 def _gathered(name: str, root: Path, sequences: dict[str, Sequence]) -> Dataset:
     if not sequences:
-        raise DataError(f"{root}: no sequence of {name} is here")
+        raise NoData(f"{root}: no sequence of {name} is here")
     return Dataset(name, sequences, (), root)

@@ -23,6 +23,11 @@ from ..settings import Settings
 
 JSON, MSGPACK, FORM = "application/json", "application/msgpack", "multipart/form-data"
 SNAPSHOT, BYTES = "application/vnd.mfcmt.snapshot", "application/octet-stream"
+CURLS_OWN = "application/x-www-form-urlencoded"
+FORM_CALL = "curl -F frame=@frame.jpg -F box=x,y,w,h"
+EMPTY_SESSION = f"the body is empty; it is the first frame and a box, as with {FORM_CALL}"
+EMPTY_FRAME = "the body is empty; it is a JPEG, PNG or WebP image"
+FORM_FIELDS = ("box", "boxes", "options")
 # Beside the frame: boxes, options, the part headers of a form.
 ENVELOPE_BYTES = 64 * 1024
 M = TypeVar("M", bound=BaseModel)
@@ -62,6 +67,8 @@ async def read_map(request: Request, settings: Settings) -> dict[str, Any]:
 async def read_upload(request: Request, settings: Settings, *, raw: bool) -> Upload:
     """A frame and its fields; with ``raw`` the body may be the image itself."""
     kind = media_type(request)
+    if _empty(request):
+        raise ProblemError("unsupported-image" if raw else "bad-request", EMPTY_FRAME if raw else EMPTY_SESSION)
     if kind == FORM:
         return await _form(request, settings)
     if kind == JSON:
@@ -73,20 +80,30 @@ async def read_upload(request: Request, settings: Settings, *, raw: bool) -> Upl
         told = _map(kind, await read(request, limit, settings, "frame-too-large"))
         frame = told.pop("frame", None)
         if type(frame) is not bytes:
-            raise ProblemError("bad-request", "frame is the image's bytes")
+            raise ProblemError("bad-request", f"frame {_missing(frame)}the image's bytes (bin)")
         return Upload(_sized(frame, settings), told)
     if raw and (kind.startswith("image/") or kind in (BYTES, "")):
-        return Upload(await read(request, settings.max_frame_bytes, settings, "frame-too-large"), {})
-    raise unsupported(FORM, JSON, MSGPACK, *(("image/*", BYTES) if raw else (SNAPSHOT,)))
+        image = await read(request, settings.max_frame_bytes, settings, "frame-too-large")
+        if not image:
+            raise ProblemError("unsupported-image", EMPTY_FRAME)
+        return Upload(image, {})
+    if kind.startswith("image/"):
+        raise ProblemError("unsupported-media-type", f"the image goes into a form beside its box: {FORM_CALL}")
+    known = (FORM, JSON, MSGPACK, *(("image/*", BYTES) if raw else (SNAPSHOT,)))
+    if kind == CURLS_OWN:
+        how = "-H 'Content-Type: image/jpeg' --data-binary @frame.jpg" if raw else FORM_CALL
+        raise ProblemError("unsupported-media-type", f"{CURLS_OWN} is curl's own; say {how} (read: {', '.join(known)})")
+    raise unsupported(*known)
 
 
 def boxes(told: dict[str, Any]) -> list[list[float]]:
     """``box`` or ``boxes``. Raises bad-request, bad-box."""
     if ("box" in told) == ("boxes" in told):
-        raise ProblemError("bad-request", "one of box and boxes is needed")
+        both = "both are" if "box" in told else "none is"
+        raise ProblemError("bad-request", f"one of box (x, y, w, h) and boxes (a list of such) is needed; {both} given")
     given = [told.pop("box")] if "box" in told else told.pop("boxes")
     if type(given) is not list or not given:
-        raise ProblemError("bad-request", "boxes is a list of boxes")
+        raise ProblemError("bad-request", "boxes is a list of boxes, [[x, y, w, h], ...]; for one there is box")
     return [fields.box(box) for box in given]
 
 
@@ -100,15 +117,24 @@ def checked(model: type[M], told: Any) -> M:
         raise ProblemError("bad-request", f"{place}: {first['msg']}") from None
 
 
-def nothing_more(told: dict[str, Any]) -> None:
-    """Raises bad-request for a field that nobody asked for."""
+def nothing_more(told: dict[str, Any], *known: str) -> None:
+    """Raises bad-request for a field that is none of ``known``; those have been taken out."""
     if told:
-        raise ProblemError("bad-request", f"unknown field {next(iter(told))[:40]!r}")
+        raise ProblemError("bad-request", f"unknown field {next(iter(told))[:40]!r}; there are {', '.join(known)}")
 
 
 def unsupported(*known: str) -> ProblemError:
     """The body's media type is none of ``known``."""
-    return ProblemError("unsupported-media-type", f"{', '.join(known)} are read here")
+    return ProblemError("unsupported-media-type", f"Content-Type is one of {', '.join(known)}")
+
+
+def _empty(request: Request) -> bool:
+    """Whether the head says that no body follows."""
+    return request.headers.get("content-length", "0") == "0" and "transfer-encoding" not in request.headers
+
+
+def _missing(frame: Any) -> str:
+    return "is missing; it is " if frame is None else "is "
 
 
 @contextlib.asynccontextmanager
@@ -147,7 +173,7 @@ def _map(kind: str, data: bytes) -> dict[str, Any]:
     except Unreadable as unreadable:
         raise ProblemError("bad-request", str(unreadable)) from unreadable
     if not isinstance(told, dict):
-        raise ProblemError("bad-request", "the body is a map")
+        raise ProblemError("bad-request", "the body is a map of named fields")
     return told
 
 
@@ -160,8 +186,11 @@ async def _form(request: Request, settings: Settings) -> Upload:
     try:
         async with _in_time(settings), contextlib.aclosing(body):
             form = await parser.parse()
-    except (MultiPartException, KeyError, ValueError) as broken:
-        raise ProblemError("bad-request", "not a multipart form of the kind that is read here") from broken
+    except MultiPartException as broken:
+        why = "more than one file, where only frame is one" if "Too many files" in broken.message else broken.message
+        raise ProblemError("bad-request", f"the form cannot be read: {why.rstrip('.')}") from broken
+    except (KeyError, ValueError) as broken:
+        raise ProblemError("bad-request", "the form cannot be read: it is not multipart/form-data") from broken
     told: dict[str, Any] = {}
     frame: bytes | None = None
     for name, value in form.multi_items():
@@ -172,10 +201,14 @@ async def _form(request: Request, settings: Settings) -> Upload:
             await value.close()
         elif isinstance(value, str):
             told[name] = _form_field(name, value)
+        elif name in FORM_FIELDS:
+            raise ProblemError("bad-request", f"{name} is a field of text, not a file; the image goes into frame")
         else:
-            raise ProblemError("bad-request", f"{name[:40]} is not a file")
+            raise ProblemError("bad-request", f"the image goes into the field frame, not {name[:40]}")
     if frame is None:
-        raise ProblemError("bad-request", "frame is a file of the form")
+        if "frame" in told:
+            raise ProblemError("bad-request", "frame is a text, not a file; with curl it is -F frame=@frame.jpg")
+        raise ProblemError("bad-request", "the image is missing: it is a file in the field frame")
     return Upload(_sized(frame, settings), told)
 
 
@@ -195,18 +228,21 @@ def numbers(name: str, text: str) -> list[float]:
     try:
         return [float(part) for part in text.split(",")]
     except ValueError:
-        raise ProblemError("bad-request", f"{name} is x,y,w,h") from None
+        raise ProblemError("bad-request", f"{name} is four numbers with commas between, x,y,w,h") from None
 
 
 def _from_base64(text: Any, settings: Settings) -> bytes:
     if not isinstance(text, str):
-        raise ProblemError("bad-request", "frame is the image in base64")
+        raise ProblemError("bad-request", f"frame {_missing(text)}the image in base64")
+    if text.startswith("data:"):
+        raise ProblemError("bad-request", "frame is the base64 alone: leave out all to the comma (data:...;base64,)")
     if len(text) * 3 // 4 > settings.max_json_frame_bytes + 2:
         raise ProblemError("frame-too-large", f"at most {settings.max_json_frame_bytes} bytes in JSON")
     try:
         return base64.b64decode(text, validate=True)
     except (binascii.Error, ValueError):
-        raise ProblemError("bad-request", "frame is the image in base64") from None
+        broken = " without line breaks" if "\n" in text else ""
+        raise ProblemError("bad-request", f"frame is the image in base64{broken}") from None
 
 
 def _sized(frame: bytes, settings: Settings) -> bytes:

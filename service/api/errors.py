@@ -39,11 +39,18 @@ async def _validation(request: Request, wrong: Exception) -> Response:
 async def _http(request: Request, failed: Exception) -> Response:
     assert isinstance(failed, HTTPException)
     code = BY_STATUS.get(failed.status_code, "bad-request")
-    problem = ProblemError(code, CATALOGUE[code].example)
+    problem = ProblemError(code, _to_a_stream(request) or CATALOGUE[code].example)
     problem.headers.update(failed.headers or {})
     if code == "method-not-allowed":
         problem.headers["Allow"] = ", ".join(_methods(request))
     return await _problem(request, problem)
+
+
+def _to_a_stream(request: Request) -> str:
+    """What a call is told that should have been a WebSocket; nothing for any other."""
+    if not re.fullmatch(r"/v1/sessions/[^/]+/stream", request.url.path):
+        return ""
+    return "a stream is a WebSocket: connect with ws:// or wss://"
 
 
 def _methods(request: Request) -> list[str]:
@@ -51,5 +58,10 @@ def _methods(request: Request) -> list[str]:
     path = request.url.path
     for template, calls in request.app.openapi()["paths"].items():
         if re.fullmatch(re.sub(r"\{\w+\}", "[^/]+", template), path):
-            return [method.upper() for method in calls]
-    return ["GET"]
+            return [name for method in calls for name in _with_head(method.upper())]
+    return _with_head("GET")
+
+
+def _with_head(method: str) -> list[str]:
+    """Whoever may GET may ask for the head alone."""
+    return ["GET", "HEAD"] if method == "GET" else [method]

@@ -45,7 +45,7 @@ async def post_frame(
         number = fields.seq(told.pop("seq", seq))
         echo, cut = fields.echo("ts", told.pop("ts")), fields.region(told.pop("region"))
         frame = Frame(upload.frame, 0, echo, cut, arrived, time.monotonic())
-        bodies.nothing_more(told)
+        bodies.nothing_more(told, "frame", "seq", "ts", "region")
         _check_free(session, service.settings.credit_frames)
         if sniff(frame.data) is None:
             raise ProblemError("unsupported-image", "not a JPEG, PNG or WebP image")

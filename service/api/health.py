@@ -8,7 +8,7 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
-from ..problems import ProblemError
+from ..problems import NO_LANE, ProblemError
 from ..service import Service
 from . import contract
 from .answers import answer
@@ -33,7 +33,7 @@ async def readyz(service: ServiceDep) -> Response:
     if health["status"] == "failing":
         raise ProblemError("at-capacity", "lanes die again and again", retry_after_s=1.0, **_lanes(health))
     if health["status"] == "starting":
-        raise ProblemError("at-capacity", "no lane is ready yet", retry_after_s=1.0, **_lanes(health))
+        raise ProblemError("at-capacity", NO_LANE, retry_after_s=1.0, **_lanes(health))
     return answer(JSON, 200, health)
 
 

@@ -61,6 +61,8 @@ class Surroundings:
     async def _http(self, scope: Scope, receive: Receive, send: Send, headers: Headers, request_id: str) -> None:
         began = time.monotonic()
         status = 0
+        head_only = scope["method"] == "HEAD"
+        asked: Scope = {**scope, "method": "GET"} if head_only else scope  # every GET has its HEAD (RFC 9110, 9.3.2)
 
         async def answer(message: Message) -> None:
             nonlocal status
@@ -71,6 +73,8 @@ class Surroundings:
                 for name, value in SAFE_HEADERS:
                     told.setdefault(name, value)
                 self._cors(headers, told)
+            elif head_only:
+                message = {**message, "body": b""}
             await send(message)
 
         try:
@@ -78,20 +82,20 @@ class Surroundings:
             if scope["state"].get(CROWDED) and scope["path"] not in PROBES:
                 raise _crowded()
             if scope["method"] == "OPTIONS" and "access-control-request-method" in headers:
-                await _preflight(headers)(scope, receive, answer)
+                await _preflight(headers)(asked, receive, answer)
             else:
-                await self._app(scope, receive, answer)
+                await self._app(asked, receive, answer)
         except ProblemError as refused:
             scope["state"]["problem"] = refused
-            await problem_response(refused, request_id)(scope, receive, answer)
+            await problem_response(refused, request_id)(asked, receive, answer)
         except Exception:
             log.exception("fault in a call")
             if status == 0:
                 problem = ProblemError("internal", CATALOGUE["internal"].example)
                 scope["state"]["problem"] = problem
-                await problem_response(problem, request_id)(scope, receive, answer)
+                await problem_response(problem, request_id)(asked, receive, answer)
         finally:
-            self._record(scope, status, time.monotonic() - began)
+            self._record(asked, scope["method"], status, time.monotonic() - began)
 
     def _cors(self, asked: Headers, told: MutableHeaders) -> None:
         if (origin := asked.get("origin")) is not None:
@@ -100,15 +104,15 @@ class Surroundings:
                 told["Access-Control-Allow-Origin"] = origin
                 told["Access-Control-Expose-Headers"] = EXPOSED
 
-    def _record(self, scope: Scope, status: int, took_s: float) -> None:
+    def _record(self, scope: Scope, method: str, status: int, took_s: float) -> None:
         # The template, not the path: a session's id is neither a label nor a line of every call.
         path = getattr(scope.get("route"), "path", "other")
         if scope["path"].startswith("/v1/") and path != "other":
             path = "/v1" + path.removeprefix("/v1")
         metrics = self._service.metrics
-        metrics.requests.labels(method=_known(scope["method"]), path=path, status=status).inc()
+        metrics.requests.labels(method=_known(method), path=path, status=status).inc()
         metrics.request_seconds.observe(took_s)
-        line: dict[str, Any] = {"method": scope["method"], "path": path, "status": status}
+        line: dict[str, Any] = {"method": method, "path": path, "status": status}
         if session := scope.get("path_params", {}).get("session_id"):
             line["session"] = session[:64]
         problem = scope["state"].get("problem")

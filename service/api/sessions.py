@@ -47,7 +47,7 @@ async def create_session(request: Request, service: ServiceDep, caller: Caller, 
     if len(boxes) > settings.max_targets_per_session:
         raise ProblemError("too-many-targets", f"at most {settings.max_targets_per_session} targets")
     options = _options(bodies.checked(OptionsModel, told.pop("options", None) or {}), service)
-    bodies.nothing_more(told)
+    bodies.nothing_more(told, "frame", "box", "boxes", "options")
     service.metrics.http_frame(len(upload.frame))
     session = await service.book.create(caller, upload.frame, boxes, options, key)
     return _made(request, service, session, accepted)

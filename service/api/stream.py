@@ -23,6 +23,7 @@ CLOSE_CODES = {
     "unauthenticated": 4401,
     "host-refused": 4403,
     "origin-refused": 4403,
+    "not-found": 4404,
     "session-not-found": 4404,
     "attached-elsewhere": 4409,
     "session-gone": 4410,
@@ -84,7 +85,9 @@ class StreamEndpoint:
         service.gate.check_browser(headers)
         if scope["state"].get(CROWDED):
             raise ProblemError("at-capacity", "too many connections", retry_after_s=1.0)
-        sid = scope["path_params"]["session_id"]
+        sid = scope["path_params"].get("session_id")
+        if sid is None:
+            raise ProblemError("not-found", "no WebSocket is here; a stream is at /v1/sessions/{session_id}/stream")
         identity = service.gate.redeem(scope["subprotocols"], sid) or service.gate.identify(headers)
         service.meter.call(identity.owner)
         if service.book.draining:

@@ -46,7 +46,7 @@ async def _box(request: Request, service: Service, session: Session) -> list[flo
     with session.in_use():
         told = await bodies.read_map(request, service.settings)
     box = fields.box(told.pop("box", None))
-    bodies.nothing_more(told)
+    bodies.nothing_more(told, "box")
     return box
 
 

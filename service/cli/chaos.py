@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from mfcmt_core.cli import UsageError
+from mfcmt_core.cli.progress import Progress
 
 from ..client import ClientError
 from ..load.chaos import IDLE_S, RESTARTS, Plan, Report, chaos
@@ -47,7 +48,8 @@ def run(args: argparse.Namespace) -> int:
     clip = open_clip(args.frames, args.box, MAX_FRAMES)
     plan = Plan(args.sessions, args.fps, args.lanes, args.faults, args.restarts, args.seed)
     try:
-        report = chaos(clip, plan, lambda step: print(f"... {step}", file=sys.stderr))
+        with Progress(args.faults + 2 * args.restarts + 1, "steps") as bar:
+            report = chaos(clip, plan, bar.step)
     except (ClientError, ServerFailed, TimeoutError) as failed:
         print(f"mfcmt chaos: {failed}", file=sys.stderr)
         return 1

@@ -14,8 +14,8 @@ from mfcmt_core.cli.screen import has_screen
 
 from ..load.own import OwnServer, ServerFailed
 from . import terminal
+from .address import check_free, chosen_port
 
-MAX_PORT = 65535
 FRAGMENT = "#demo"
 
 
@@ -23,7 +23,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     add = parser.add_argument
     add("--no-browser", action="store_true", help="only print the page's address")
-    add("--port", type=int, default=0, metavar="N", help="port of the page; default: a free one")
+    add("--port", metavar="N", help="port of the page; default: MFCMT_PORT, else a free one")
     add("--terminal", action="store_true", help="no page: stream a clip and print what comes back")
     terminal.configure(parser)
 
@@ -34,8 +34,8 @@ def run(args: argparse.Namespace) -> int:
         return terminal.run(args)
     if args.source or args.box or args.url or args.key:
         raise UsageError("a source, --box, --url and --key go with --terminal; on the page a video is chosen there")
-    if not 0 <= args.port <= MAX_PORT:
-        raise UsageError(f"--port is from 0 to {MAX_PORT}")
+    port = chosen_port(args.port, 0)
+    check_free("127.0.0.1", port)
     stopped = threading.Event()
 
     def stop(_signal: int, _frame: FrameType | None) -> None:
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
 
     for one in (signal.SIGINT, signal.SIGTERM):
         signal.signal(one, stop)
-    server = OwnServer(log_format="console", drain_grace_s=0, port=args.port)
+    server = OwnServer(log_format="console", drain_grace_s=0, port=port)
     try:
         with server:
             address = f"{server.url}/{FRAGMENT}"

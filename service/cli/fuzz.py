@@ -7,9 +7,10 @@ import json
 import sys
 
 from mfcmt_core.cli import UsageError
+from mfcmt_core.cli.progress import Progress
 
 from ..load.clips import sample
-from ..load.fuzz import Fuzz, Tally
+from ..load.fuzz import KINDS, Fuzz, Tally
 from ..load.own import OwnServer, ServerFailed
 from ..load.run import run_loop
 
@@ -33,7 +34,8 @@ def run(args: argparse.Namespace) -> int:
     clip = sample(CLIP_FRAMES).resized(SIZE)
     try:
         with OwnServer(lanes=1, signing_keys="a-secret-of-the-fuzz-run", log_level="warning") as server:
-            tallies = run_loop(Fuzz(server.url, clip, args.seed).run(args.count))
+            with Progress(KINDS * args.count, "inputs") as bar:
+                tallies = run_loop(Fuzz(server.url, clip, args.seed).run(args.count, bar.step))
             faults = [line for line in server.log.splitlines() if "Traceback" in line or '"error"' in line]
             restarts = [line for line in server.log.splitlines() if "lane lost" in line]
     except ServerFailed as failed:

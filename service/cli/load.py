@@ -9,12 +9,13 @@ import sys
 from pathlib import Path
 
 from mfcmt_core.cli import UsageError
+from mfcmt_core.cli.progress import Progress
 
 from ..client import ClientError
 from ..load.clips import Clip, open_clip
 from ..load.drive import Pace
 from ..load.own import OwnServer, ServerFailed
-from ..load.report import measure
+from ..load.report import STEPS, measure
 from ..load.run import Outcome, load, run_loop
 from ..load.text import of_report, of_run
 from .target import host_of
@@ -79,7 +80,8 @@ def run(args: argparse.Namespace) -> int:
         clip = clip.resized(size)
     try:
         if args.report:
-            report = measure(clip, args.seconds, args.sequences, lambda step: print(f"... {step}", file=sys.stderr))
+            with Progress(STEPS, "steps") as bar:
+                report = measure(clip, args.seconds, args.sequences, bar.begin)
             print(json.dumps(report.as_dict()) if args.json else of_report(report, clip))
             return 0 if all(target.met for target in report.targets) else 1
         outcome = _load(args, clip)
@@ -96,10 +98,12 @@ def _load(args: argparse.Namespace, clip: Clip) -> Outcome:
         raise UsageError("--mode latest needs --fps")
     pace = Pace(args.seconds, args.fps, mode, args.in_flight, f"mfcmt.v1.{args.protocol}")  # type: ignore[arg-type]
     paces = [pace] * args.sessions
+    bar = Progress(args.seconds, "s", timed=True)
     if args.url:
-        return run_loop(load(args.url, clip, paces, key=args.key))[0]
+        with bar:
+            return run_loop(load(args.url, clip, paces, key=args.key))[0]
     settings = {} if args.lanes is None else {"lanes": args.lanes}
-    with OwnServer(max_sessions_per_lane=args.sessions, **settings) as server:
+    with OwnServer(max_sessions_per_lane=args.sessions, **settings) as server, bar:
         return run_loop(load(server.url, clip, paces, front=server.pid))[0]
 
 

@@ -6,12 +6,16 @@ import argparse
 import sys
 from typing import Any
 
+import structlog
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
 from mfcmt_core.cli import UsageError
 
-from ..settings import Settings
+from ..settings import Settings, unread_settings
+from .address import check_free
+
+log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.serve")
 
 # The exit code when sessions are lost or older because their directory could not be written.
 NOT_WRITTEN = 3
@@ -38,12 +42,16 @@ def run(args: argparse.Namespace) -> int:
     except ValidationError as wrong:
         raise UsageError("; ".join(_told(error) for error in wrong.errors(include_input=False))) from None
 
+    check_free(settings.host, settings.port)
+
     from ..app import create_app
     from ..observability import logs
     from ..server import make_server
     from ..sessions.vault import BadState
 
     logs.configure(settings.log_format, settings.log_level)
+    for line in unread_settings():
+        log.warning(line)
     app = create_app(settings)
     try:
         app.state.service.book.keeper.open()

@@ -7,6 +7,7 @@ import json
 import sys
 
 from mfcmt_core.cli import UsageError
+from mfcmt_core.cli.progress import Progress
 
 from ..client import ClientError
 from ..load.clips import sample
@@ -56,13 +57,12 @@ def run(args: argparse.Namespace) -> int:
 def _soak(args: argparse.Namespace, sessions: int, frames: int) -> list[Phase]:
     clip = sample(CLIP_FRAMES).resized(SIZE)
 
-    def tell(line: str) -> None:
-        print(f"... {line}", file=sys.stderr)
-
     phases = []
     with OwnServer(lanes=args.lanes, **settings(sessions, frames, args.streams)) as server:
         if sessions:
-            phases.append(run_loop(soak_sessions(server.url, server.pid, clip, sessions, tell)))
+            with Progress(sessions, "sessions") as bar:
+                phases.append(run_loop(soak_sessions(server.url, server.pid, clip, sessions, bar.step)))
         if frames:
-            phases.append(run_loop(soak_frames(server.url, server.pid, clip, frames, args.streams, tell)))
+            with Progress(frames, "frames") as bar:
+                phases.append(run_loop(soak_frames(server.url, server.pid, clip, frames, args.streams, bar.step)))
     return phases

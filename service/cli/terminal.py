@@ -12,10 +12,11 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from mfcmt_core.cli import UsageError
+from mfcmt_core.cli.boxes import parse_box
 from mfcmt_core.cli.media import MediaError, open_source
 
 from ..client import Client, ClientError, Frame, Result
-from ..load.clips import Box, encode, open_clip, parse_box
+from ..load.clips import Box, encode, open_clip
 from ..load.drive import quantile
 from ..load.own import OwnServer, ServerFailed
 from .target import host_of

@@ -11,8 +11,6 @@ from mfcmt_core.images.decode import Image
 
 from .rows import Rect
 
-SIDE_AT_LEAST_PX = 1.0
-
 
 class Refused(Exception):
     """The operation is refused and nothing has changed: a code of the catalogue and what may be told."""
@@ -39,12 +37,10 @@ class View:
         """``tracker`` started or corrected here. Raises Refused."""
         x, y, w, h = box
         width, height = self.frame_size
-        if min(w, h) < SIDE_AT_LEAST_PX:
-            raise Refused("bad-box", "a side of the box is less than a pixel")
         try:
             return tracker.init(self.image, (x, y, w, h), offset=self.offset, frame_size=self.frame_size)
         except BadBox as bad:
-            raise Refused("bad-box", "less than a quarter of the box is in the frame") from bad
+            raise Refused("bad-box", bad.reason) from bad
         except RegionTooSmall as cut:
             whole = [0, 0, width, height]
             raise Refused("full-frame-needed", "send the whole frame", region=whole) from cut

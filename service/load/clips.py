@@ -11,6 +11,7 @@ import numpy as np
 
 from mfcmt_core import synthetic
 from mfcmt_core.cli import UsageError
+from mfcmt_core.cli.boxes import parse_box
 from mfcmt_core.images import FrameError, FrameLimits, inspect
 from mfcmt_core.images.decode import decode
 
@@ -113,12 +114,3 @@ def _ground_truth(folder: Path) -> Box | None:
     except (OSError, ValueError):
         return None
     return x - 1, y - 1, w, h
-
-
-def parse_box(text: str) -> Box:
-    """ "x,y,w,h" as four numbers. Raises UsageError."""
-    try:
-        x, y, w, h = (float(v) for v in text.split(","))
-    except ValueError:
-        raise UsageError(f"--box takes four numbers x,y,w,h, not {text!r}") from None
-    return x, y, w, h

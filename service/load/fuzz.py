@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections import Counter
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -29,6 +30,8 @@ from .clips import Clip
 from .mutate import Mutator
 
 PATIENCE_S = 30.0
+KINDS = 5
+"""Of inputs: frames, messages, bodies, snapshots, heads."""
 INSIDE = ("Traceback", 'File "', "/service/", "site-packages", ".py", "Exception", "object at 0x")
 SNAPSHOT, JSON, MSGPACK = "application/vnd.mfcmt.snapshot", "application/json", "application/msgpack"
 # How a stream may be closed whose messages cannot be read, or are too many that are refused.
@@ -63,8 +66,8 @@ class Fuzz:
         self._other = ""
         self._snapshot = b""
 
-    async def run(self, count: int) -> dict[str, Tally]:
-        """``count`` inputs of each kind."""
+    async def run(self, count: int, tell: Callable[[str], None] = lambda _: None) -> dict[str, Tally]:
+        """``count`` inputs of each kind; ``tell`` hears the kind of each that is done."""
         tallies = {}
         async with self._http:
             sid = await self._create()
@@ -77,6 +80,7 @@ class Fuzz:
                     tally = tallies[kind.__name__.strip("_")] = Tally()
                     for _ in range(count):
                         await self._judged(tally, kind())
+                        tell(kind.__name__.strip("_"))
                     # After all that, the undisturbed session goes on as the library does.
                     await self._judged(tally, self._good_frame(), bad=False)
         return tallies

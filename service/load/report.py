@@ -17,6 +17,8 @@ from .run import Outcome, load, run_loop
 from .usage import MB, Usage, server_usage
 from .work import Work, in_process, lane_rates
 
+STEPS = 11
+"""Of :func:`measure`, each told when it begins."""
 MEMORY_SESSIONS = 16
 NEIGHBOUR_FPS = 30.0
 REGION_FRAMES, REGION_EVERY = 300, 5

@@ -27,6 +27,7 @@ ENTRY_BYTES = 200
 MAX_TRAJECTORY_BYTES = 1024 * 1024
 
 Tell = Callable[[str], None]
+"""Hears of each unit that is done, and what memory was used when it was last read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,24 +52,23 @@ class Phase:
 class Meter:
     """Private memory of the front and of all lanes together, read as work goes on."""
 
-    def __init__(self, front: int, total: int, tell: Tell, unit: str) -> None:
+    def __init__(self, front: int, total: int, tell: Tell) -> None:
         self._processes = server_processes(front)
         self._every = max(1, total // SAMPLES)
-        self._total, self._tell, self._unit = total, tell, unit
+        self._tell, self._note = tell, ""
         self._done: list[float] = []
         self._used: dict[str, list[float]] = {"front": [], "lanes": []}
 
     def count(self, done: int) -> None:
         """``done`` units are done."""
+        self._tell(self._note)
         if done % self._every:
             return
         used = {role: usage(pid).private_bytes for role, pid in self._processes.items()}
         self._done.append(done)
         self._used["front"].append(used["front"])
         self._used["lanes"].append(sum(size for role, size in used.items() if role.startswith("lane")))
-        if done % (10 * self._every) == 0:
-            told = ", ".join(f"{role} {sizes[-1] / 1e6:.1f} MB" for role, sizes in self._used.items())
-            self._tell(f"{done:,} of {self._total:,} {self._unit}s: {told}")
+        self._note = ", ".join(f"{role} {sizes[-1] / 1e6:.1f} MB" for role, sizes in self._used.items())
 
     def slopes(self) -> dict[str, Slope]:
         """The slope of each role."""
@@ -88,7 +88,7 @@ def settings(sessions: int, frames: int, streams: int) -> dict[str, Any]:
 
 async def soak_sessions(url: str, front: int, clip: Clip, total: int, tell: Tell) -> Phase:
     """Open and close ``total`` sessions, a few at a time."""
-    meter, left, done, failed = Meter(front, total, tell, "session"), total, 0, 0
+    meter, left, done, failed = Meter(front, total, tell), total, 0, 0
     start = time.monotonic()
 
     async def open_and_close(client: AsyncClient) -> None:
@@ -112,7 +112,7 @@ async def soak_sessions(url: str, front: int, clip: Clip, total: int, tell: Tell
 
 async def soak_frames(url: str, front: int, clip: Clip, total: int, streams: int, tell: Tell) -> Phase:
     """Have ``total`` frames tracked by ``streams`` sessions at once."""
-    meter, done, failed = Meter(front, total, tell, "frame"), 0, 0
+    meter, done, failed = Meter(front, total, tell), 0, 0
     start = time.monotonic()
 
     def tracked() -> None:

@@ -9,12 +9,13 @@ from ..problems import ProblemError
 
 MAX_SEQ = 2**53 - 1
 MAX_ECHO = 64
+KINDS: dict[type, str] = {dict: "a map", list: "lists", bool: "true or false", type(None): "null", bytes: "bytes"}
 
 
 def box(value: Any) -> list[float]:
     """``[x, y, w, h]``, four finite numbers, ``w, h > 0``. Raises bad-request, bad-box."""
     if type(value) is not list or len(value) != 4 or any(type(v) not in (int, float) for v in value):
-        raise ProblemError("bad-request", "a box is four numbers: [x, y, w, h]")
+        raise ProblemError("bad-request", f"a box is four numbers, [x, y, w, h]{_instead(value)}")
     try:
         x, y, w, h = map(float, value)
     except OverflowError:
@@ -22,8 +23,22 @@ def box(value: Any) -> list[float]:
     if not all(map(math.isfinite, (x, y, w, h))):
         raise ProblemError("bad-box", "the box is not finite")
     if not (w > 0 and h > 0):
-        raise ProblemError("bad-box", "the box has no area")
+        raise ProblemError("bad-box", "the box has no area: w and h are above 0; a box is x, y, w, h")
     return [x, y, w, h]
+
+
+def _instead(value: Any) -> str:
+    """What was given where four numbers are wanted, without repeating it."""
+    if value is None:
+        return "; none is given"
+    if type(value) is str:
+        return ", not a text with them: leave out the quotes"
+    if type(value) is not list:
+        return f", not {KINDS.get(type(value), 'this')}"
+    if len(value) != 4:
+        return f", not {len(value)}"
+    odd = next(v for v in value if type(v) not in (int, float))
+    return ", not texts: leave out the quotes" if type(odd) is str else f", not {KINDS.get(type(odd), 'these')}"
 
 
 def region(value: Any) -> list[int] | None:

@@ -15,7 +15,7 @@ import structlog
 
 from ..lanes.interface import AtCapacity, KeysLost, LaneCrowded, Lanes
 from ..observability.metrics import Metrics
-from ..problems import ProblemError, session_gone, session_not_found
+from ..problems import NO_LANE, NO_PLACE, ProblemError, session_gone, session_not_found
 from ..settings import Settings
 from .idempotency import Creations
 from .keeper import Keeper, created_at_of, options_of
@@ -230,7 +230,8 @@ class SessionBook:
             try:
                 self._lanes.reserve(sid, owner)
             except AtCapacity:
-                raise self._unavailable("at-capacity", 1.0) from None
+                ready = any(lane.ready for lane in self._lanes.status())
+                raise self._unavailable("at-capacity", 1.0, NO_PLACE if ready else NO_LANE) from None
         self._opening[owner] += 1
         return self._session(sid, owner, options, datetime.now(UTC))
 
@@ -259,7 +260,7 @@ class SessionBook:
             self.keeper.forget(session)
             if isinstance(failed, ProblemError) and failed.code == "session-gone":
                 # Its lane died under it: for the client there never was a session.
-                raise self._unavailable("at-capacity", 1.0) from failed
+                raise self._unavailable("at-capacity", 1.0, "its lane ended as the session began") from failed
             raise
         finally:
             self._opening -= Counter((session.owner,))
@@ -280,9 +281,7 @@ class SessionBook:
         self._metrics.refused_sessions.labels(reason="over-quota").inc()
         raise ProblemError("over-quota", f"at most {most} sessions of a key", retry_after_s=1.0)
 
-    def _unavailable(
-        self, code: str, retry_after_s: float, detail: str = "no place for another session"
-    ) -> ProblemError:
+    def _unavailable(self, code: str, retry_after_s: float, detail: str = "") -> ProblemError:
         self._metrics.refused_sessions.labels(reason=code).inc()
         if code == "draining":
             detail = "the service is going away"

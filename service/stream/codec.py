@@ -10,6 +10,11 @@ from ..schemas.packed import Unreadable, from_json, from_msgpack, to_json, to_ms
 from . import messages
 from .messages import CONTROLS, Control, FrameMessage, Meta
 
+IMAGES = (b"\xff\xd8\xff", b"\x89PN", b"RIF")
+"""How JPEG, PNG and WebP begin."""
+IMAGES_IN_BASE64 = ("/9j/", "iVBORw0KGgo", "UklGR", "data:image/")
+"""How they begin in base64."""
+
 Event = MutableMapping[str, Any]
 
 
@@ -53,6 +58,8 @@ class JsonCodec:
             meta, self._meta = self._meta, self._NOTHING
             return FrameMessage(data, meta)
         text = event["text"]
+        if text.startswith(IMAGES_IN_BASE64):
+            raise Unreadable("an image as base64 text; send the bytes of the JPEG as a binary message")
         if len(text) > self._max_text:
             raise Unreadable(f"text above {self._max_text} characters")
         message = from_json(text)
@@ -81,7 +88,9 @@ class MsgpackCodec:
         """See :class:`Codec`."""
         data = event.get("bytes")
         if data is None:
-            raise Unreadable("text in the msgpack subprotocol")
+            raise Unreadable("text in mfcmt.v1.msgpack; send binary messages, or ask for mfcmt.v1.json")
+        if data[:3] in IMAGES:
+            raise Unreadable('a bare image in mfcmt.v1.msgpack; a frame is {"type": "frame", "frame": bytes}')
         message = from_msgpack(data)
         if not isinstance(message, dict):
             raise Unreadable("a message is a map")

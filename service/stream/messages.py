@@ -52,7 +52,10 @@ def kind_of(message: dict[str, Any], known: tuple[str, ...]) -> str:
     """The message's type. Raises bad-request."""
     kind = message.get("type")
     if not isinstance(kind, str) or kind not in known:
-        raise ProblemError("bad-request", f"type is one of {', '.join(known)}")
+        told = f"type is one of {', '.join(known)}"
+        if kind == "frame":
+            told += "; in mfcmt.v1.json a frame is a binary message, the image's bytes alone"
+        raise ProblemError("bad-request", told)
     return kind
 
 
@@ -74,7 +77,7 @@ def frame(message: dict[str, Any]) -> FrameMessage:
         _check_names("frame", message)
         data = message.get("frame")
         if type(data) is not bytes:
-            raise ProblemError("bad-request", "frame is the image's bytes")
+            raise ProblemError("bad-request", "frame is the image's bytes (bin), not text")
         return FrameMessage(data, Meta(seq, fields.echo("ts", message.get("ts")), fields.region(message.get("region"))))
     except ProblemError as problem:
         return FrameMessage(b"", Meta(seq), problem)

@@ -14,6 +14,7 @@ from service.client import AsyncClient, AsyncSession, Problem
 from service.load.clips import Clip
 from service.load.own import OwnServer
 from service.load.usage import server_processes
+from service.problems import NO_LANE
 from tests.service.live.test_main_job import assert_same, in_process
 from tests.service.wire.conftest import Wire
 
@@ -143,7 +144,7 @@ async def _until(wire: Wire, status: int) -> dict[str, str]:
     while time.monotonic() < give_up:
         answer = await wire.http.get("/readyz")
         told: dict[str, str] = answer.json()
-        if answer.status_code == status and told.get("detail") != "no lane is ready yet":
+        if answer.status_code == status and told.get("detail") != NO_LANE:
             return told
         await asyncio.sleep(0.02)
     raise AssertionError(f"readiness is never {status}")

@@ -163,7 +163,13 @@ def test_preset_and_config_reach_the_tracker(folder, box, clip, tmp_path):
         (("{}", "--box", "1,2,3"), "four numbers"),
         (("{}", "--box", "1,2,nan,4"), "no area"),
         (("{}", "--box", "1,2,0,4"), "no area"),
+        (("{}", "--box", "1", "2", "3"), "four numbers"),
         (("{}", "--box", "9000,9000,20,20"), "box 9000,9000,20,20"),
+        (("{}", "--box", "9000,9000,20,20"), "in the frame of 320x240; a box is x, y, w, h"),
+        (("{}", "--box", "280,200,310,230"), "as corners x1, y1, x2, y2: then w is x2 - x1"),
+        (("{}", "--box", "0.4,0.33,0.2,0.32"), "less than a pixel; a box is x, y, w, h in pixels and not shares"),
+        (("rtsp://user:secret@camera/1", "--box", "1,2,3,4"), "rtsp:// is not read here, only a folder of images"),
+        (("https://camera/a.mp4", "--box", "1,2,3,4"), "docs/examples/track_video.py"),
         (("{}",), "--box --select"),
         (("{}", "--box", "1,2,3,4", "--select"), "not allowed with"),
         (("{}", "--box", "1,2,3,4", "--format", "xml"), "xml"),
@@ -182,6 +188,29 @@ def test_bad_arguments_are_one_line_and_exit_2(folder, args, says, tmp_path):
     assert done.stderr.startswith("mfcmt track: ")
     assert len(done.stderr.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_address_is_refused_without_repeating_its_password(tmp_path):
+    assert "secret" not in track("rtsp://user:secret@camera/1", "--box", "1,2,3,4", cwd=tmp_path).stderr
+
+
+@pytest.mark.parametrize(
+    "words", [["{} {} {} {}"], ["{}", "{}", "{}", "{}"], ["{},", "{},", "{},", "{}"], ["{},{}", "{},{}"]]
+)
+def test_a_box_may_be_written_with_spaces(folder, box, words):
+    numbers = iter(box.split(","))
+    spaced = [word.format(*(next(numbers) for _ in range(word.count("{}")))) for word in words]
+    done = track("--box", *spaced, folder)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == track(folder, "--box", box).stdout
+
+
+def test_a_box_may_lie_partly_outside(folder):
+    """Its first number is negative then, which is no option."""
+    for box in (["-5,80,64,78"], ["-5", "80", "64", "78"], ["5,-8,64,78"]):
+        done = track(folder, "--box", *box)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert done.stdout.splitlines()[1].startswith(f"0,{','.join(box)},tracking")
 
 
 def test_failures_while_tracking_are_one_line_and_exit_1(folder, box, tmp_path):

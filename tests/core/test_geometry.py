@@ -23,12 +23,30 @@ PLACE = st.floats(-500, 3000)
 @settings(max_examples=200, deadline=None)
 @given(PLACE, PLACE, SIDE, SIDE)
 def test_a_box_needs_a_quarter_of_its_area_in_the_frame(x, y, w, h):
+    w, h = max(w, 1), max(h, 1)
     inside = max(min(x + w, 640) - max(x, 0), 0) * max(min(y + h, 480) - max(y, 0), 0)
     if inside > 0.2501 * w * h:
         assert check_box((x, y, w, h), (640, 480)) == (x, y, w, h)
     elif inside < 0.2499 * w * h:
         with pytest.raises(BadBox):
             check_box((x, y, w, h), (640, 480))
+
+
+def test_a_box_below_a_pixel_is_refused_and_shares_of_the_frame_are_named():
+    with pytest.raises(BadBox, match="pixels and not shares of the frame"):
+        check_box((0.4, 0.33, 0.2, 0.32), (640, 480))
+    with pytest.raises(BadBox, match=r"less than a pixel; a box is x, y, w, h in pixels \("):
+        check_box((40, 33, 20, 0.99), (640, 480))
+    assert check_box((40, 33, 1, 1), (640, 480)) == (40, 33, 1, 1)
+
+
+def test_a_box_outside_says_the_frames_size_and_knows_corners():
+    with pytest.raises(BadBox, match=r"in the frame of 640x480; a box is x, y, w, h \("):
+        check_box((700, 10, 30, 30), (640, 480))
+    with pytest.raises(BadBox, match="as corners x1, y1, x2, y2"):
+        check_box((500, 400, 560, 470), (640, 480))
+    with pytest.raises(BadBox, match=r"a box is x, y, w, h \("):
+        check_box((500, 400, 700, 470), (640, 480))
 
 
 @pytest.mark.parametrize("kind", [tuple, list, np.array, iter, lambda v: np.array(v, np.float32), lambda v: (*v,)])

@@ -64,7 +64,7 @@ def test_through_lost_and_back(grey):
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-@pytest.mark.parametrize("box", [(132, 98, 56, 44), (160, 20, 4, 200), (10, 120, 300, 4), (50, 50, 0.01, 100)])
+@pytest.mark.parametrize("box", [(132, 98, 56, 44), (160, 20, 4, 200), (10, 120, 300, 4), (50, 50, 1, 100)])
 def test_below_one_megabyte(box, preset, frames):
     tracker = MFCMT(PRESETS[preset])
     tracker.init(frames[0], box)

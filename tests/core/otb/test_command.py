@@ -44,7 +44,8 @@ def test_runs_reports_and_films(otb_root: Path, tmp_path: Path, capsys: pytest.C
 @pytest.mark.parametrize(
     ("arguments", "code", "says"),
     [
-        (["--data", "nowhere"], 2, "no data at nowhere"),
+        (["--data", "nowhere"], 2, "no data at nowhere: name a folder of sequences with --data or MFCMT_OTB_ROOT"),
+        (["--data", "."], 2, "is here: name a folder of sequences with --data or MFCMT_OTB_ROOT"),
         (["--protocol", "xpe"], 2, "unknown protocol: XPE"),
         (["--film", "Deer"], 2, "--film"),
         (["--trackers", "best"], 1, "no tracker 'best'"),

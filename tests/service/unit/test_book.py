@@ -27,7 +27,7 @@ class Lanes:
     """Places, and an answer to everything."""
 
     def __init__(self, places: int) -> None:
-        self.places = places
+        self.places, self.ready = places, True
         self.keys: set[str] = set()
         self.lost: asyncio.Queue[LaneEvent] = asyncio.Queue()
         self.refuse: str | None = None
@@ -69,10 +69,22 @@ class Lanes:
             yield await self.lost.get()
 
     def status(self) -> list[LaneStatus]:
-        return []
+        return [LaneStatus(0, self.ready, False, len(self.keys), {})]
 
     def usage(self) -> list[LaneUsage]:
         return []
+
+
+async def test_who_comes_before_a_lane_is_ready_is_told_so() -> None:
+    lanes = Lanes(0)
+    lanes.ready = False
+    book = SessionBook(Settings(), lanes, Metrics())
+    with pytest.raises(ProblemError, match="no lane is ready yet: the service has just started") as refused:
+        await book.create("a", b"", [], Options("default", "reject", None, False, 60), None)
+    assert (refused.value.code, refused.value.members) == ("at-capacity", {"retry_after_s": 1.0})
+    lanes.ready = True
+    with pytest.raises(ProblemError, match="no place for another session"):
+        await book.create("a", b"", [], Options("default", "reject", None, False, 60), None)
 
 
 class Stream:
