@@ -4,10 +4,10 @@
 # The base image is made by debootstrap and bears the name that the Dockerfile asks for, buildah builds, podman runs
 # the container as its user on a read-only root, a client makes a session, and SIGTERM ends it. Size, time until ready
 # and time of the first frame are printed. Debian packages: buildah podman runc debootstrap curl.
-# pip in the build asks the index that pip is configured for here; MIRROR is Debian's.
+# pip in the build asks the index that pip is configured for here, debootstrap the mirror of apt.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-SUITE=bookworm MIRROR=${MIRROR:-http://deb.debian.org/debian} MOST_MB=500
+SUITE=bookworm MIRROR=$(.ci/mirror) MOST_MB=500
 base=$(sed -n 's/^FROM \(python:[^ ]*\) AS base$/\1/p' docker/Dockerfile)
 version=$(sed -n 's/^version = "\(.*\)"$/\1/p' pyproject.toml)
 cache=${XDG_CACHE_HOME:-/var/tmp}/mfcmt-image-base
