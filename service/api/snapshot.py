@@ -23,10 +23,11 @@ async def get_snapshot(request: Request, service: ServiceDep, session: SessionDe
     media_type = chosen_type(request, SNAPSHOT, BYTES)
     async with service.snapshots.turn(session.owner):
         contents = await session.snapshot()
-        # Held until it is written; what the client does not read then counts as the connection's.
+        # Held until it is made; what the client does not read of it counts as the connection's.
         share: Share = request.scope["state"][HELD]
         share.take(len(contents))
         # Large: not on the event loop.
         data = await asyncio.to_thread(service.seal.close, session.owner, contents)
+        share.hold(0)
     service.metrics.snapshot_bytes.observe(len(data))
     return Response(data, media_type=media_type)

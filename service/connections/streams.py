@@ -25,6 +25,7 @@ ABORT_AFTER_S = 5.0
 FRAMES_A_TURN = 32
 # Messages of one connection that the application is given between two turns.
 MESSAGES_A_TURN = 16
+LARGE_READ_BYTES = 128 * 1024
 # A part of a message below this counts as a control frame does: honest clients cut messages into larger ones.
 SMALL_FRAGMENT_BYTES = 1024
 # What a part of a message takes beside its bytes.
@@ -87,7 +88,8 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         super().data_received(data)
         if self.transport.is_closing():
             return
-        if self._reader.behind:
+        # Of a large message, too, only so much is read in one turn: the kernel would hand over megabytes.
+        if self._reader.behind or len(data) > LARGE_READ_BYTES:
             self._pause_reading()
             if self.queue.empty() or self.close_sent:
                 self._go_on_later()
@@ -108,7 +110,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
             self._queued_bytes = 0
             if self._reader.behind:
                 self._go_on_later()
-            elif self.read_paused:
+            elif self.read_paused and not self._goes_on:
                 self.read_paused = False
                 self.transport.resume_reading()
             self._count_bytes()

@@ -45,7 +45,7 @@ async def call(wire: Wire, path: str, *, method: str = "GET", headers: str = "",
     await asyncio.get_running_loop().sock_connect(sock, ("127.0.0.1", wire.server.port))
     reader, writer = await asyncio.open_connection(sock=sock, limit=1 << 14)
     keys = "".join(f"{name}: {value}\r\n" for name, value in wire.headers.items())
-    writer.write(f"{method} {path} HTTP/1.1\r\nHost: service\r\n{keys}{headers}\r\n".encode() + body)
+    writer.write(f"{method} {path} HTTP/1.1\r\nHost: localhost\r\n{keys}{headers}\r\n".encode() + body)
     return reader, writer
 
 
@@ -147,10 +147,10 @@ async def test_text_that_is_not_utf_8_closes_the_stream_and_is_no_fault(wire: Wi
 async def test_calls_in_one_packet_are_all_answered_in_order(wire: Wire) -> None:
     pair = await call(wire, "/livez")
     for n in range(600):
-        pair[1].write(b"GET /livez HTTP/1.1\r\nHost: service\r\nX-Request-ID: n%d\r\n\r\n" % n)
+        pair[1].write(b"GET /livez HTTP/1.1\r\nHost: localhost\r\nX-Request-ID: n%d\r\n\r\n" % n)
         body = b"x" * n
-        pair[1].write(b"POST /nothing HTTP/1.1\r\nHost: service\r\nContent-Length: %d\r\n\r\n%s" % (n, body))
-    pair[1].write(b"GET /livez HTTP/1.1\r\nHost: service\r\nConnection: close\r\n\r\n")
+        pair[1].write(b"POST /nothing HTTP/1.1\r\nHost: localhost\r\nContent-Length: %d\r\n\r\n%s" % (n, body))
+    pair[1].write(b"GET /livez HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
     received = await rest(pair)
     assert [int(n) for n in re.findall(rb"x-request-id: n(\d+)\r", received)] == list(range(600))
     assert received.count(b"HTTP/1.1 404") == 600
