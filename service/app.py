@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine
 from functools import partial
 from importlib.metadata import version
+from pathlib import Path
 from secrets import token_bytes
 from typing import TYPE_CHECKING, Any
 
@@ -35,13 +37,15 @@ from .auth import Gate
 from .lanes.interface import Lanes
 from .lanes.pool import LanePool
 from .observability.exposition import Exposition
-from .observability.lag import watch_lag
+from .observability.lag import note_stretches
 from .observability.metrics import Metrics
 from .seal import Seal
 from .service import Service
 from .sessions.book import SessionBook
 from .sessions.config import lane_config
-from .sessions.meter import Meter, Room
+from .sessions.few import Few
+from .sessions.meter import Meter
+from .sessions.room import Room
 from .settings import Settings
 
 if TYPE_CHECKING:
@@ -50,6 +54,10 @@ if TYPE_CHECKING:
 SECRET_BYTES = 32
 # After a fault in the background, so that one that lasts does not fill the log.
 AGAIN_S = 1.0
+# Not a setting: a file for what mfcmt siege measures in a server of its own.
+STRETCHES = "_MFCMT_SIEGE_STRETCHES"
+# Of one key; others wait for their turn.
+SNAPSHOTS_AT_ONCE = TRAJECTORIES_AT_ONCE = 2
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.app")
 
@@ -71,9 +79,10 @@ def create_app(
     book = SessionBook(settings, lanes, metrics, clock, gate.owners)
     secrets = [secret.get_secret_value().encode() for secret in settings.signing_keys]
     seal = Seal(secrets or [token_bytes(SECRET_BYTES)])
-    meter, uploads = Meter(settings, clock), Room(settings.max_upload_bytes)
+    meter, room = Meter(settings, clock), Room(settings.max_upload_bytes)
+    metrics.watch_room(room)
     exposition = Exposition(metrics, book.__len__, settings.capacity, lanes, book.keeper.budget)
-    service = Service(settings, lanes, book, gate, metrics, exposition, meter, uploads, seal)
+    service = Service(settings, lanes, book, gate, metrics, exposition, meter, room, seal, *few(settings))
 
     app = FastAPI(
         title="MFCMT",
@@ -98,6 +107,12 @@ def create_app(
     app.state.documents = docs.Documents.of(app)
     app.state.assets = web.load()
     return app
+
+
+def few(settings: Settings) -> tuple[Few, Few]:
+    """How many snapshots and trajectories of a key are made at once."""
+    wait_s = settings.operation_deadline_s
+    return Few(SNAPSHOTS_AT_ONCE, wait_s, "snapshots"), Few(TRAJECTORIES_AT_ONCE, wait_s, "trajectories")
 
 
 def local_lanes(settings: Settings) -> LanePool:
@@ -145,8 +160,9 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     try:
         await service.book.load()
         await service.lanes.start()
-        watch = partial(watch_lag, service.metrics.loop_lag_seconds)
-        background = (service.book.keep, service.book.follow_lanes, service.follow_keys, watch)
+        background = [service.book.keep, service.book.follow_lanes, service.follow_keys, service.metrics.lag.watch]
+        if stretches := os.environ.get(STRETCHES):
+            background.append(partial(note_stretches, Path(stretches)))
         keepers += [asyncio.create_task(_lasting(work)) for work in background]
         yield
     finally:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import os
 import random
 import signal
@@ -22,6 +23,8 @@ from .settings import Settings
 # Room for the envelope of a MessagePack message.
 ENVELOPE_BYTES = 4096
 SHUTDOWN_S = 5
+# All connections that wait are accepted in one turn of the event loop; more of them try again a second later.
+BACKLOG = 256
 DRAIN_TICK_S = READY_TICK_S = 0.05
 # When clients may come back: after this, and so much later.
 RETURN_S = 0.5
@@ -51,6 +54,9 @@ class Server(uvicorn.Server):
         if not allow_files(self._service.settings):
             log.warning("the limit of open files is below max_connections")
         await super().startup(sockets)
+        # What is here by now stays: looking through it again and again would keep the loop for tens of milliseconds.
+        gc.collect()
+        gc.freeze()
         if self.started:
             host, port = self.servers[0].sockets[0].getsockname()[:2]
             url = f"http://{f'[{host}]' if ':' in host else host}:{port}"
@@ -101,7 +107,7 @@ def make_server(app: FastAPI, on_ready: Callable[[str], None] = lambda _: None) 
     """
     service: Service = app.state.service
     settings: Settings = service.settings
-    calls, frames = protocols(settings)
+    calls, frames = protocols(settings, service.room)
     config = uvicorn.Config(
         app,
         host=settings.host,
@@ -109,6 +115,7 @@ def make_server(app: FastAPI, on_ready: Callable[[str], None] = lambda _: None) 
         loop="uvloop" if find_spec("uvloop") else "asyncio",
         http=calls,
         ws=frames,
+        backlog=BACKLOG,
         ws_max_size=2 * settings.max_frame_bytes + ENVELOPE_BYTES,
         ws_per_message_deflate=False,
         ws_ping_interval=settings.ping_interval_s,

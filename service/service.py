@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import MutableMapping
 from dataclasses import dataclass
 from typing import Any
 
 import structlog
 
 from .auth import Gate
+from .keys import Identity
 from .lanes.interface import Lanes
 from .observability.exposition import Exposition
 from .observability.metrics import Metrics
 from .seal import Seal
 from .sessions.book import SessionBook
-from .sessions.meter import Meter, Room
+from .sessions.few import Few
+from .sessions.meter import Meter
+from .sessions.room import STRANGER, Room
 from .sessions.session import Attachment, Session
 from .settings import Settings
 
 KEYS_EVERY_S = 1.0
+PROBES = frozenset({"/livez", "/readyz", "/metrics"})
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.service")
 
@@ -34,8 +39,16 @@ class Service:
     metrics: Metrics
     exposition: Exposition
     meter: Meter
-    uploads: Room
+    room: Room
     seal: Seal
+    snapshots: Few
+    trajectories: Few
+
+    async def late(self, scope: MutableMapping[str, Any]) -> None:
+        """Count the refusal of a call or handshake, and wait if its caller has too many. Probes never wait."""
+        if scope["path"] not in PROBES:
+            identity: Identity | None = scope["state"].get("identity")
+            await asyncio.sleep(self.meter.refusal(identity.owner if identity else STRANGER))
 
     async def follow_keys(self) -> None:
         """Cut the streams of keys that are revoked and forget old tickets, for as long as the service runs."""

@@ -19,6 +19,7 @@ from pydantic_settings import (
 from mfcmt_core.cli.variables import unread_variables
 
 from . import environment
+from .container import room_bytes
 from .keys import LEAST_CHARACTERS, check_key, read_keys
 from .lanes.cores import default_lanes
 
@@ -99,7 +100,9 @@ class Settings(BaseSettings):
     max_body_bytes: int = Field(default=64 * 1024, ge=1024, description="bytes of a body or message without a frame")
     max_snapshot_bytes: int = Field(default=64 * MIB, ge=1024, description="bytes of a snapshot that is sent in")
     max_upload_bytes: int = Field(
-        default=512 * MIB, ge=1024, description="bytes of all bodies that are being received at once"
+        default_factory=room_bytes,
+        ge=1024,
+        description="bytes under way at once: bodies, messages, frames that wait, answers that are not read",
     )
     body_timeout_s: float = _positive(30.0, "from a call's head to the end of its body")
 
@@ -118,7 +121,13 @@ class Settings(BaseSettings):
     )
 
     credit_frames: int = Field(default=4, ge=1, le=64, description="unanswered frames of a lossless stream")
-    max_messages_per_s: float = _positive(2000.0, "messages of one stream; as many again may come at once")
+    max_messages_per_s: float = _positive(2000.0, "messages of one session; as many again may come at once")
+    max_control_frames_per_s: float = _positive(
+        100.0, "pings, pongs and fragments below 1 KiB of one stream; as many again at once; more are cut"
+    )
+    max_refusals_per_s: float = _positive(
+        200.0, "refusals of one key, and of all without one; more end a stream, calls wait for theirs"
+    )
     max_requests_per_s: float = _positive(1000.0, "HTTP calls of one key; as many again may come at once")
     max_frames_per_s: float = _positive(10_000.0, "frames of all keys; as many again may come at once")
     max_frames_per_s_per_key: float = _positive(5000.0, "frames of one key; as many again may come at once")

@@ -21,6 +21,7 @@ COMMANDS = {
     "load": ("service.cli.load", "drive a service with real frames and measure it"),
     "soak": ("service.cli.soak", "work for long and see that memory stays flat"),
     "fuzz": ("service.cli.fuzz", "send a service bad inputs and count wrong answers"),
+    "siege": ("service.cli.siege", "attack a service of one's own beside a neighbour and see who notices"),
     "chaos": ("service.cli.chaos", "kill, stop and bloat a service under load and count what is lost"),
     "demo": ("service.cli.demo", "open the page with the sample clip, on a service of its own"),
 }

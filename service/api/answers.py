@@ -12,10 +12,13 @@ from ..problems import MEDIA_TYPE, ProblemError
 from ..schemas.packed import to_json, to_msgpack
 from .bodies import JSON, MSGPACK
 
+# Browsers send two hundred; of a longer one the beginning counts.
+MAX_ACCEPT_CHARACTERS = 1024
+
 
 def chosen_type(request: Request, *offered: str) -> str:
     """The media type of ``offered`` that the caller likes best, the first on a tie. Raises not-acceptable."""
-    accept = request.headers.get("accept", "").strip()
+    accept = request.headers.get("accept", "").strip()[:MAX_ACCEPT_CHARACTERS]
     if not accept:
         return offered[0]
     ranges = [_range(part) for part in accept.split(",")]

@@ -18,7 +18,7 @@ from starlette.requests import ClientDisconnect, Request
 from ..problems import ProblemError
 from ..schemas import fields
 from ..schemas.packed import Unreadable, from_json, from_msgpack
-from ..sessions.meter import Room
+from ..sessions.room import Share
 from ..settings import Settings
 
 JSON, MSGPACK, FORM = "application/json", "application/msgpack", "multipart/form-data"
@@ -30,10 +30,14 @@ EMPTY_FRAME = "the body is empty; it is a JPEG, PNG or WebP image"
 FORM_FIELDS = ("box", "boxes", "options")
 # Beside the frame: boxes, options, the part headers of a form.
 ENVELOPE_BYTES = 64 * 1024
+LARGE_BYTES = 4 * 1024 * 1024
+# In the state of a scope: what the call holds of the room until it is answered.
+HELD = "mfcmt.held"
+MAX_TYPE_CHARACTERS = 256
 M = TypeVar("M", bound=BaseModel)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Upload:
     """A body with a frame: the image and the other fields."""
 
@@ -42,15 +46,26 @@ class Upload:
 
 
 def media_type(request: Request) -> str:
-    """The body's media type, without parameters."""
-    return request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    """The body's media type, without parameters. Raises unsupported-media-type for a very long one."""
+    told = request.headers.get("content-type", "")
+    if len(told) > MAX_TYPE_CHARACTERS:
+        raise ProblemError("unsupported-media-type", f"Content-Type has at most {MAX_TYPE_CHARACTERS} characters")
+    return told.partition(";")[0].strip().lower()
 
 
 async def read(request: Request, limit: int, settings: Settings, code: str = "body-too-large") -> bytes:
     """The whole body. Raises ``code`` above ``limit`` bytes, deadline-exceeded, bad-request."""
+    first, more = b"", bytearray()
     async with _in_time(settings):
-        parts = [part async for part in _bounded(request, limit, code)]
-    return parts[0] if len(parts) == 1 else b"".join(parts)
+        async for part in _bounded(request, limit, code):
+            if not first:
+                first = part
+            else:
+                more += part if more else first + part
+    if not more:
+        return first
+    # A copy of many megabytes is not made on the event loop.
+    return bytes(more) if len(more) < LARGE_BYTES else await asyncio.to_thread(bytes, more)
 
 
 async def read_map(request: Request, settings: Settings) -> dict[str, Any]:
@@ -153,18 +168,15 @@ async def _bounded(request: Request, limit: int, code: str) -> AsyncGenerator[by
     length = request.headers.get("content-length", "0")
     if length.isdecimal() and int(length[:20]) > limit:
         raise too_large
-    room: Room = request.app.state.service.uploads
+    share: Share = request.scope["state"][HELD]
     read_bytes = 0
-    try:
-        async for part in request.stream():
-            room.take(len(part))
-            read_bytes += len(part)
-            if read_bytes > limit:
-                raise too_large
-            if part:
-                yield part
-    finally:
-        room.give(read_bytes)
+    async for part in request.stream():
+        share.take(len(part))
+        read_bytes += len(part)
+        if read_bytes > limit:
+            raise too_large
+        if part:
+            yield part
 
 
 def _map(kind: str, data: bytes) -> dict[str, Any]:

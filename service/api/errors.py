@@ -26,6 +26,7 @@ def install(app: FastAPI) -> None:
 async def _problem(request: Request, problem: Exception) -> Response:
     assert isinstance(problem, ProblemError)
     request.state.problem = problem
+    await request.app.state.service.late(request.scope)
     return problem_response(problem, request.state.request_id)
 
 

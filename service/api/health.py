@@ -11,7 +11,7 @@ from starlette.responses import Response
 from ..problems import NO_LANE, ProblemError
 from ..service import Service
 from . import contract
-from .answers import answer
+from .answers import MAX_ACCEPT_CHARACTERS, answer
 from .bodies import JSON
 from .deps import ServiceDep
 
@@ -41,7 +41,7 @@ async def readyz(service: ServiceDep) -> Response:
 async def metrics(request: Request, service: ServiceDep) -> Response:
     """Prometheus' text format."""
     service.gate.check_admin(request.headers)
-    text, media_type = await service.exposition.text(request.headers.get("accept", ""))
+    text, media_type = await service.exposition.text(request.headers.get("accept", "")[:MAX_ACCEPT_CHARACTERS])
     return Response(text, headers={"Content-Type": media_type})
 
 

@@ -12,10 +12,14 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from ..connections import CROWDED
+from .. import turns
+from ..connections import CROWDED, SHARE
+from ..observability.sampled import Sampled
 from ..problems import CATALOGUE, ProblemError
 from ..service import Service
+from ..sessions.room import Share
 from .answers import problem_response
+from .bodies import HELD
 
 SANE_ID = re.compile(r"[A-Za-z0-9._:/+=-]{1,128}")
 # Calls that come all the time are logged at debug; frames only if they are tracked.
@@ -29,7 +33,11 @@ SAFE_HEADERS = (
 )
 EXPOSED = "Location, Retry-After, X-Request-ID"
 
+# In the state of a scope: who asks.
+IDENTITY = "identity"
+
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.http")
+refusals = Sampled(log)
 
 
 class Surroundings:
@@ -77,16 +85,20 @@ class Surroundings:
                 message = {**message, "body": b""}
             await send(message)
 
+        await turns.give_way(turns.CALLS_S)
+        held = scope["state"][HELD] = Share(self._service.room)
         try:
             self._service.gate.check_browser(headers)
             if scope["state"].get(CROWDED) and scope["path"] not in PROBES:
                 raise _crowded()
+            self._admit(scope, headers)
             if scope["method"] == "OPTIONS" and "access-control-request-method" in headers:
                 await _preflight(headers)(asked, receive, answer)
             else:
                 await self._app(asked, receive, answer)
         except ProblemError as refused:
             scope["state"]["problem"] = refused
+            await self._service.late(scope)
             await problem_response(refused, request_id)(asked, receive, answer)
         except Exception:
             log.exception("fault in a call")
@@ -95,7 +107,19 @@ class Surroundings:
                 scope["state"]["problem"] = problem
                 await problem_response(problem, request_id)(asked, receive, answer)
         finally:
+            held.hold(0)
             self._record(asked, scope["method"], status, time.monotonic() - began)
+
+    def _admit(self, scope: Scope, headers: Headers) -> None:
+        """Find out who asks before anything else is done for them. Raises unauthenticated, rate-limited."""
+        if scope["method"] == "OPTIONS" or not scope["path"].startswith("/v1/"):
+            return
+        state = scope["state"]
+        identity = state[IDENTITY] = self._service.gate.identify(headers)
+        self._service.meter.call(identity.owner)
+        for share in (state[HELD], state.get(SHARE)):
+            if share is not None:
+                share.belong(identity.owner)
 
     def _cors(self, asked: Headers, told: MutableHeaders) -> None:
         if (origin := asked.get("origin")) is not None:
@@ -120,8 +144,11 @@ class Surroundings:
             metrics.problems.labels(code=problem.code).inc()
             line |= {"code": problem.code, "detail": problem.detail}
         self._trace(scope, path, status)
-        write = log.debug if path in PROBES or (path == FRAMES and problem is None) else log.info
-        write("call", **line, ms=round(took_s * 1e3, 3))
+        line["ms"] = round(took_s * 1e3, 3)
+        if problem is not None and path not in PROBES:
+            refusals.info("call", **line)
+        else:
+            (log.debug if path in PROBES or path == FRAMES else log.info)("call", **line)
 
     def _trace(self, scope: Scope, path: str, status: int) -> None:
         if (tracing := self._service.metrics.tracing) is not None:

@@ -49,6 +49,13 @@ async def create_session(request: Request, service: ServiceDep, caller: Caller, 
     options = _options(bodies.checked(OptionsModel, told.pop("options", None) or {}), service)
     bodies.nothing_more(told, "frame", "box", "boxes", "options")
     service.metrics.http_frame(len(upload.frame))
+    repeated = await service.book.repeated(caller, upload.frame, boxes, options, key)
+    if repeated is not None:
+        # Its frame is not needed any more, and the first may take long.
+        upload.frame = b""
+        request.scope["state"][bodies.HELD].hold(0)
+        session = service.book.find(caller, await asyncio.shield(repeated))
+        return _made(request, service, session, accepted)
     session = await service.book.create(caller, upload.frame, boxes, options, key)
     return _made(request, service, session, accepted)
 

@@ -8,9 +8,10 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
+from ..sessions.room import Share
 from . import contract
 from .answers import chosen_type
-from .bodies import BYTES, SNAPSHOT
+from .bodies import BYTES, HELD, SNAPSHOT
 from .deps import ServiceDep, SessionDep
 
 router = APIRouter(tags=["snapshots"])
@@ -20,8 +21,13 @@ router = APIRouter(tags=["snapshots"])
 async def get_snapshot(request: Request, service: ServiceDep, session: SessionDep) -> Response:
     """All targets, `seq` and the newest frame, taken between two frames; post it to `/v1/sessions` to go on."""
     media_type = chosen_type(request, SNAPSHOT, BYTES)
-    contents = await session.snapshot()
-    # Large: not on the event loop.
-    data = await asyncio.to_thread(service.seal.close, session.owner, contents)
+    async with service.snapshots.turn(session.owner):
+        contents = await session.snapshot()
+        # Held until it is made; what the client does not read of it counts as the connection's.
+        share: Share = request.scope["state"][HELD]
+        share.take(len(contents))
+        # Large: not on the event loop.
+        data = await asyncio.to_thread(service.seal.close, session.owner, contents)
+        share.hold(0)
     service.metrics.snapshot_bytes.observe(len(data))
     return Response(data, media_type=media_type)

@@ -9,10 +9,12 @@ import structlog
 from starlette.datastructures import Headers
 from starlette.types import Receive, Scope, Send
 
-from ..connections import ABORT_EXTENSION, CROWDED
+from ..connections import ABORT_EXTENSION, CROWDED, LEAVE_EXTENSION, SHARE
 from ..keys import Identity
+from ..observability.sampled import Sampled
 from ..problems import ProblemError
 from ..service import Service
+from ..sessions.room import Share
 from ..sessions.session import Session
 from ..stream.attachment import StreamAttachment
 from ..stream.codec import Codec, JsonCodec, MsgpackCodec
@@ -35,6 +37,7 @@ CLOSE_CODES = {
 }
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.stream")
+refusals = Sampled(log)
 
 
 class StreamEndpoint:
@@ -51,15 +54,18 @@ class StreamEndpoint:
         try:
             session, mode, identity = self._admit(scope, headers)
         except ProblemError as problem:
-            await self._refuse(problem, codec, selected, scope, headers, receive, send)
+            await self._refuse(problem, codec, selected, scope, headers, send)
             return
         settings = self._service.settings
         superseded = self._service.metrics.frames_dropped.labels(reason="superseded").inc
+        share = Share(self._service.room, identity.owner)
+        if (connection := scope["state"].get(SHARE)) is not None:
+            connection.belong(identity.owner)
         attachment = StreamAttachment(
             session,
             identity,
             codec,
-            Flow(mode, settings.credit_frames, superseded),
+            Flow(mode, settings.credit_frames, superseded, share),
             settings,
             self._service.meter,
             self._service.metrics,
@@ -89,6 +95,7 @@ class StreamEndpoint:
         if sid is None:
             raise ProblemError("not-found", "no WebSocket is here; a stream is at /v1/sessions/{session_id}/stream")
         identity = service.gate.redeem(scope["subprotocols"], sid) or service.gate.identify(headers)
+        scope["state"]["identity"] = identity
         service.meter.call(identity.owner)
         if service.book.draining:
             raise ProblemError("draining", "the service is going away", retry_after_s=service.settings.drain_grace_s)
@@ -137,11 +144,11 @@ class StreamEndpoint:
         selected: str | None,
         scope: Scope,
         headers: Headers,
-        receive: Receive,
         send: Send,
     ) -> None:
         self._service.metrics.problems.labels(code=problem.code).inc()
-        log.info("stream refused", code=problem.code)
+        refusals.info("stream refused", code=problem.code)
+        await self._service.late(scope)
         if "origin" not in headers and "websocket.http.response" in scope["extensions"]:
             response = problem_response(problem, scope["state"]["request_id"])
             await send(
@@ -158,8 +165,8 @@ class StreamEndpoint:
         await send(codec.write({"type": "error", "problem": problem.body(scope["state"]["request_id"])}))
         code = CLOSE_CODES.get(problem.code, 1011)
         await send({"type": "websocket.close", "code": code, "reason": problem.code})
-        while (await receive())["type"] != "websocket.disconnect":
-            pass
+        # Whoever was refused has nothing to say that anyone would read.
+        scope["extensions"].get(LEAVE_EXTENSION, lambda: None)()
 
 
 def _codec(offered: list[str], max_text_bytes: int) -> tuple[Codec, str | None]:

@@ -2,31 +2,34 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator, Iterator
-from itertools import islice
 from typing import Annotated, Any, Literal
 
 import msgpack
 from fastapi import APIRouter, Query
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
+from starlette.types import Receive, Scope, Send
 
+from .. import turns
 from ..problems import ProblemError
 from ..schemas import fields
 from ..schemas.packed import to_json
+from ..service import Service
 from ..sessions import wiring
 from ..sessions.session import Session
 from ..sessions.trajectory import Entry, unpacked
 from . import contract
 from .answers import chosen_type
 from .bodies import JSON, MSGPACK
-from .deps import SessionDep
+from .deps import ServiceDep, SessionDep
 
 router = APIRouter(tags=["trajectory"])
 Format = Literal["json", "csv", "otb", "mot"]
 Packed = list[tuple[int, bytes]]
-# Frames that are put together between two turns of the event loop: well under a millisecond.
-FRAMES_AT_ONCE = 32
+# What is put together between two turns of the event loop, well under a millisecond: targets, and a frame as one more.
+ROWS_AT_ONCE = 24
 CSV_HEAD = "seq,ts,target,x,y,w,h,status,reliable,scale\n"
 CONFIDENCE = {"tracking": "1", "uncertain": "0.5", "lost": "0"}
 
@@ -35,6 +38,7 @@ CONFIDENCE = {"tracking": "1", "uncertain": "0.5", "lost": "0"}
 async def get_trajectory(
     request: Request,
     session: SessionDep,
+    service: ServiceDep,
     format: Annotated[Format, Query(description="`otb` needs `target`")] = "json",
     after: Annotated[int, Query(ge=-1, le=fields.MAX_SEQ, description="frames above this number")] = -1,
     target: Annotated[int | None, Query(ge=0, le=fields.MAX_SEQ, description="one target alone")] = None,
@@ -46,8 +50,8 @@ async def get_trajectory(
     packed = session.trajectory.after(after)
     if format == "json":
         whole = _msgpack if kind == MSGPACK else _json
-        return StreamingResponse(_parts(whole(session, packed, target)), media_type=kind)
-    return StreamingResponse(_parts(_chunks(_LINES[format](unpacked(packed), target))), media_type=kind)
+        return _InParts(service, session.owner, whole(session, packed, target), kind)
+    return _InParts(service, session.owner, _LINES[format](unpacked(packed), target), kind)
 
 
 def _media_type(request: Request, format: Format) -> str:
@@ -60,16 +64,45 @@ def _media_type(request: Request, format: Format) -> str:
     return kind
 
 
+class _InParts(StreamingResponse):
+    """An answer in parts that the event loop's other work comes between; a few at once of a key."""
+
+    def __init__(self, service: Service, owner: str, parts: Iterator[bytes], media_type: str) -> None:
+        super().__init__(_parts(parts), media_type=media_type)
+        self._service, self._owner = service, owner
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send it. Raises over-quota."""
+        async with self._service.trajectories.turn(self._owner):
+            await super().__call__(scope, receive, send)
+
+
 async def _parts(parts: Iterator[bytes]) -> AsyncIterator[bytes]:
-    # Each part is sent before the next is made, and sending yields to the loop.
     for part in parts:
         yield part
+        # Sending does not wait while the client reads fast.
+        await asyncio.sleep(0)
+        await turns.give_way(turns.CALLS_S)
+
+
+def _some(entries: Iterator[Entry]) -> Iterator[list[Entry]]:
+    """The entries in lists that are small by their targets."""
+    some: list[Entry] = []
+    rows = 0
+    for entry in entries:
+        some.append(entry)
+        rows += 1 + len(entry.rows)
+        if rows >= ROWS_AT_ONCE:
+            yield some
+            some, rows = [], 0
+    if some:
+        yield some
 
 
 def _json(session: Session, packed: Packed, target: int | None) -> Iterator[bytes]:
     yield f'{{"id":{to_json(session.id)},"results":['.encode()
-    entries, comma = iter(unpacked(packed)), ""
-    while some := list(islice(entries, FRAMES_AT_ONCE)):
+    comma = ""
+    for some in _some(unpacked(packed)):
         yield (comma + ",".join(to_json(_frame(entry, target)) for entry in some)).encode()
         comma = ","
     yield b"]}"
@@ -79,8 +112,7 @@ def _msgpack(session: Session, packed: Packed, target: int | None) -> Iterator[b
     packer = msgpack.Packer()
     head = packer.pack_map_header(2) + packer.pack("id") + packer.pack(session.id) + packer.pack("results")
     yield head + packer.pack_array_header(len(packed))
-    entries = iter(unpacked(packed))
-    while some := list(islice(entries, FRAMES_AT_ONCE)):
+    for some in _some(unpacked(packed)):
         yield b"".join(packer.pack(_frame(entry, target)) for entry in some)
 
 
@@ -98,33 +130,36 @@ def _rows(entry: Entry, target: int | None) -> list[list[Any]]:
     return entry.rows if target is None else [row for row in entry.rows if row[0] == target]
 
 
-def _csv(entries: Iterator[Entry], target: int | None) -> Iterator[str]:
-    yield CSV_HEAD
-    for entry in entries:
-        for tid, (x, y, w, h), status, reliable, *_, scale in _rows(entry, target):
-            told = "" if reliable is None else str(reliable).lower()
-            yield f"{entry.seq},{_quoted(entry.ts)},{tid},{x!r},{y!r},{w!r},{h!r},{status},{told},{scale!r}\n"
+def _csv(entries: Iterator[Entry], target: int | None) -> Iterator[bytes]:
+    yield CSV_HEAD.encode()
+    for some in _some(entries):
+        yield "".join(_csv_line(entry, row) for entry in some for row in _rows(entry, target)).encode()
 
 
-def _otb(entries: Iterator[Entry], target: int | None) -> Iterator[str]:
-    for entry in entries:
-        for _, (x, y, w, h), *_ in _rows(entry, target):
-            yield f"{x + 1!r},{y + 1!r},{w!r},{h!r}\n"
+def _csv_line(entry: Entry, row: list[Any]) -> str:
+    tid, (x, y, w, h), status, reliable, *_, scale = row
+    told = "" if reliable is None else str(reliable).lower()
+    return f"{entry.seq},{_quoted(entry.ts)},{tid},{x!r},{y!r},{w!r},{h!r},{status},{told},{scale!r}\n"
 
 
-def _mot(entries: Iterator[Entry], target: int | None) -> Iterator[str]:
-    for entry in entries:
-        for tid, (x, y, w, h), status, *_ in _rows(entry, target):
-            box = f"{x + 1!r},{y + 1!r},{w!r},{h!r}"
-            yield f"{entry.seq + 1},{tid + 1},{box},{CONFIDENCE[status]},-1,-1,-1\n"
+def _otb(entries: Iterator[Entry], target: int | None) -> Iterator[bytes]:
+    for some in _some(entries):
+        boxes = (row[1] for entry in some for row in _rows(entry, target))
+        yield "".join(f"{x + 1!r},{y + 1!r},{w!r},{h!r}\n" for x, y, w, h in boxes).encode()
+
+
+def _mot(entries: Iterator[Entry], target: int | None) -> Iterator[bytes]:
+    for some in _some(entries):
+        yield "".join(_mot_line(entry, row) for entry in some for row in _rows(entry, target)).encode()
+
+
+def _mot_line(entry: Entry, row: list[Any]) -> str:
+    tid, (x, y, w, h), status, *_ = row
+    box = f"{x + 1!r},{y + 1!r},{w!r},{h!r}"
+    return f"{entry.seq + 1},{tid + 1},{box},{CONFIDENCE[status]},-1,-1,-1\n"
 
 
 _LINES = {"csv": _csv, "otb": _otb, "mot": _mot}
-
-
-def _chunks(lines: Iterator[str]) -> Iterator[bytes]:
-    while some := list(islice(lines, 4 * FRAMES_AT_ONCE)):
-        yield "".join(some).encode()
 
 
 def _quoted(ts: float | str | None) -> str:

@@ -36,11 +36,21 @@ class Exposition:
     def __init__(self, metrics: Metrics, sessions: Callable[[], int], capacity: int, lanes: Lanes, kept: Kept) -> None:
         self._metrics, self._sessions, self._capacity, self._lanes = metrics, sessions, capacity, lanes
         self._kept = kept
+        self._making: dict[str, asyncio.Future[tuple[bytes, str]]] = {}
         self._process = CollectorRegistry()
         ProcessCollector(registry=self._process)
         PlatformCollector(registry=self._process)
 
     async def text(self, accept: str) -> tuple[bytes, str]:
+        """All metrics and their media type, made once for all who ask at the same time."""
+        wanted = choose_encoder(accept)[1]
+        making = self._making.get(wanted)
+        if making is None:
+            making = self._making[wanted] = asyncio.ensure_future(self._text(accept))
+            making.add_done_callback(lambda _: self._making.pop(wanted))
+        return await asyncio.shield(making)
+
+    async def _text(self, accept: str) -> tuple[bytes, str]:
         """All metrics and their media type: OpenMetrics, with exemplars, for who accepts it.
 
         All of it at once would keep the event loop for a millisecond or two. So what asks the system does it

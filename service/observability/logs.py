@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import structlog
 
+UVICORNS_OWN = ("Invalid HTTP request received.", "Unsupported upgrade request.")
 SECRET_NAMES = frozenset({"authorization", "x-api-key", "key", "ticket", "cookie"})
 
 
@@ -54,6 +55,12 @@ def configure(form: Literal["auto", "json", "console"], level: str) -> None:
     # uvicorn's lines at INFO repeat ours, and name paths with their query.
     for name in ("uvicorn", "uvicorn.error", "uvicorn.access", "asyncio", "websockets"):
         logging.getLogger(name).setLevel(logging.WARNING)
+    logging.getLogger("uvicorn.error").addFilter(_told_elsewhere)
+
+
+def _told_elsewhere(record: logging.LogRecord) -> bool:
+    """Leave out what a stranger can cause at will: the refusal is a line of ours already, and counted."""
+    return record.msg not in UVICORNS_OWN
 
 
 def _without_secrets(

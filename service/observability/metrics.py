@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
 from ..problems import CATALOGUE
+from ..sessions.room import Room
+from .lag import Lag
 from .stages import Stages
 
 if TYPE_CHECKING:
@@ -80,6 +82,13 @@ class Metrics:
         self.total_seconds = seconds("mfcmt_frame_total_seconds", "From a frame's arrival to its result")
         self.request_seconds = seconds("mfcmt_http_request_seconds", "HTTP calls, from head to last byte")
         self.loop_lag_seconds = seconds("mfcmt_event_loop_lag_seconds", "How late a timer of the event loop fires")
+        self.lag = Lag(self.loop_lag_seconds)
+        highest = Gauge(
+            "mfcmt_event_loop_lag_max_seconds",
+            "Most that a timer of the event loop was late in the last 30 to 60 seconds",
+            registry=self.registry,
+        )
+        highest.set_function(lambda: self.lag.highest_s)
         self.snapshot_bytes = sizes("mfcmt_snapshot_bytes", "Size of snapshots handed out")
         self.checkpoint_bytes = sizes("mfcmt_checkpoint_bytes", "Size of checkpoints")
         self.checkpoints = counter("mfcmt_checkpoints_total", "Checkpoints of sessions", reason=WHYS)
@@ -93,6 +102,13 @@ class Metrics:
 
         self._by_stream = self.frames_received.labels(via="stream")
         self._by_http = self.frames_received.labels(via="http")
+
+    def watch_room(self, room: Room) -> None:
+        """Tell what is held of ``room``."""
+        held = Gauge("mfcmt_under_way_bytes", "Bodies, messages and answers under way", registry=self.registry)
+        held.set_function(lambda: room.held)
+        limit = Gauge("mfcmt_under_way_bytes_limit", "Most that may be under way at once", registry=self.registry)
+        limit.set(room.limit)
 
     def stream_frame(self, size: int) -> None:
         """A frame message has come."""

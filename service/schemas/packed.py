@@ -11,6 +11,7 @@ import msgpack
 MAX_ITEMS = 256
 MAX_KEYS = 32
 MAX_ITEMS_IN_ALL = 2048
+MAX_TEXT_BYTES = 64 * 1024
 
 
 class Unreadable(Exception):
@@ -18,7 +19,14 @@ class Unreadable(Exception):
 
 
 def from_json(text: str | bytes) -> Any:
-    """The value of a JSON document (RFC 8259: no NaN, no doubled keys). Raises Unreadable."""
+    """The value of a JSON document (RFC 8259: no NaN, no doubled keys). Raises Unreadable.
+
+    What could have too many items is refused unread; a comma in a text counts too.
+    """
+    if len(text) > MAX_ITEMS_IN_ALL:
+        comma, opening = (b",", (b"[", b"{")) if isinstance(text, bytes) else (",", ("[", "{"))
+        if text.count(comma) + sum(map(text.count, opening)) > MAX_ITEMS_IN_ALL:  # type: ignore[arg-type]
+            raise Unreadable("too many items")
     try:
         return json.loads(text, parse_constant=_refuse, object_pairs_hook=_unique)
     except (ValueError, RecursionError) as broken:
@@ -36,6 +44,7 @@ def from_msgpack(data: bytes | memoryview) -> Any:
             data,
             raw=False,
             strict_map_key=True,
+            max_str_len=MAX_TEXT_BYTES,
             max_array_len=MAX_ITEMS,
             max_map_len=MAX_KEYS,
             max_ext_len=0,

@@ -100,6 +100,15 @@ class SessionBook:
 
         return self.find(owner, await self._creations.once(owner, key, data, repr((boxes, options)), make))
 
+    async def repeated(
+        self, owner: str, data: bytes, boxes: list[list[float]], options: Options, key: str | None
+    ) -> asyncio.Future[str] | None:
+        """The session that :meth:`create` makes or has made with the same key and content; None if it is the first.
+
+        Raises bad-request for a key that was used with others.
+        """
+        return await self._creations.repeated(owner, key, data, repr((boxes, options)))
+
     async def restore(self, owner: str, snapshot: bytes, key: str | None) -> Session:
         """A session that goes on from a snapshot's contents, under a new id; the same one for the same ``key``."""
 
@@ -249,6 +258,7 @@ class SessionBook:
             created_at=created_at,
             max_trajectory_bytes=self._settings.max_trajectory_bytes,
             clock=self._clock,
+            max_messages_per_s=self._settings.max_messages_per_s,
         )
 
     @contextlib.contextmanager

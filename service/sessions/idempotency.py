@@ -36,11 +36,8 @@ class Creations:
             return await make()
         name = f"{owner} {key}"
         fingerprint = await asyncio.to_thread(_fingerprint, data, rest)
-        known = self._known.get(name)
-        if known is not None:
-            if known.fingerprint != fingerprint:
-                raise ProblemError("bad-request", "the Idempotency-Key was used with another body")
-            return await asyncio.shield(known.session)
+        if (known := self._same(name, fingerprint)) is not None:
+            return await asyncio.shield(known)
         future: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         self._known.put(owner, name, Creation(fingerprint, future))
         try:
@@ -54,6 +51,24 @@ class Creations:
             raise
         future.set_result(made)
         return made
+
+    async def repeated(self, owner: str, key: str | None, data: bytes, rest: str) -> asyncio.Future[str] | None:
+        """What another call with the same key and content waits for, or has; None if this is the first.
+
+        So a repeated call need not keep its body while it waits. Raises bad-request as :meth:`once` does.
+        """
+        name = f"{owner} {key}"
+        if key is None or self._known.get(name) is None:
+            return None
+        return self._same(name, await asyncio.to_thread(_fingerprint, data, rest))
+
+    def _same(self, name: str, fingerprint: bytes) -> asyncio.Future[str] | None:
+        known = self._known.get(name)
+        if known is None:
+            return None
+        if known.fingerprint != fingerprint:
+            raise ProblemError("bad-request", "the Idempotency-Key was used with another body")
+        return known.session
 
     def sweep(self) -> None:
         """Forget what is too old."""

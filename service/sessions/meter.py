@@ -13,6 +13,8 @@ from .bucket import Bucket
 MAX_ACCOUNTS = 10_000
 # Of what all keys share, this much is kept for those that use little of their own.
 RESERVE = 0.5
+# A refusal that comes late is not later than this.
+MAX_LATE_S = 1.0
 
 
 @dataclass(slots=True)
@@ -22,6 +24,7 @@ class Account:
     calls: Bucket
     frames: Bucket
     bytes: Bucket
+    refusals: Bucket
 
 
 class Meter:
@@ -44,6 +47,14 @@ class Meter:
         now = self._clock()
         if wait_s := self._account(owner, now).calls.take(now):
             raise _too_many("calls", wait_s)
+
+    def refusal(self, owner: str) -> float:
+        """Count a refusal: 0, or the seconds that it is above the rate; they do not grow beyond some."""
+        now = self._clock()
+        refusals = self._account(owner, now).refusals
+        if (late_s := refusals.wait_s(now)) < MAX_LATE_S:
+            refusals.spend(1)
+        return min(late_s, MAX_LATE_S)
 
     def frame(self, owner: str, size: int = 0) -> None:
         """Count a frame of ``size`` bytes, or nothing of it. Raises rate-limited, at-capacity."""
@@ -77,29 +88,12 @@ class Meter:
                 Bucket(settings.max_requests_per_s, now),
                 Bucket(settings.max_frames_per_s_per_key, now),
                 Bucket(settings.max_frame_bytes_per_s_per_key, now),
+                Bucket(settings.max_refusals_per_s, now),
             )
             while len(self._accounts) > MAX_ACCOUNTS:
                 self._accounts.popitem(last=False)
         self._accounts.move_to_end(owner)
         return account
-
-
-class Room:
-    """Bytes that are held at once, up to a limit."""
-
-    def __init__(self, limit: int) -> None:
-        self._limit = limit
-        self._held = 0
-
-    def take(self, size: int) -> None:
-        """Hold so many more. Raises at-capacity."""
-        if self._held + size > self._limit:
-            raise ProblemError("at-capacity", "too much is being sent at once", retry_after_s=1.0)
-        self._held += size
-
-    def give(self, size: int) -> None:
-        """Hold so many less."""
-        self._held -= size
 
 
 def _too_many(what: str, wait_s: float) -> ProblemError:

@@ -18,6 +18,7 @@ from ..observability.stages import Stages
 from ..problems import ProblemError, session_gone
 from ..schemas.fields import MAX_SEQ
 from . import wiring
+from .bucket import Bucket
 from .journal import Operation
 from .lane_state import LaneState, Poisoned
 from .trajectory import Entry, Trajectory
@@ -90,6 +91,7 @@ class Session:
         created_at: datetime,
         max_trajectory_bytes: int,
         clock: Callable[[], float],
+        max_messages_per_s: float,
     ) -> None:
         self.id, self.owner, self.options = sid, owner, options
         self.ordinal, self.created, self.created_at = ordinal, created, created_at
@@ -106,6 +108,7 @@ class Session:
         self.lost_after: int | None = None
         self.saved_to = -1
         self.trajectory = Trajectory(max_trajectory_bytes)
+        self.messages = Bucket(max_messages_per_s, time.monotonic())
         self.lane = lane
         self._on_safe, self._on_poison = on_safe, on_poison
         self._turn = asyncio.Lock()

@@ -15,10 +15,10 @@ from mfcmt_core.images import sniff
 
 from ..keys import Identity
 from ..observability.metrics import Metrics
+from ..observability.sampled import Sampled
 from ..observability.stages import Stages
 from ..problems import ProblemError
 from ..schemas.packed import Unreadable
-from ..sessions.bucket import Bucket
 from ..sessions.meter import Meter
 from ..sessions.session import Frame, Session
 from ..settings import Settings
@@ -35,7 +35,11 @@ MAX_UNSENT = 64
 NAME_BYTES = 9
 MAX_DEBT_S = 1.0
 
+# Refusals that are for what a message says and not for when it comes.
+USELESS = ("bad-request", "frame-too-large", "unsupported-image", "stale-frame")
+
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.stream")
+refusals = Sampled(log)
 
 
 class StreamAttachment:
@@ -66,7 +70,8 @@ class StreamAttachment:
         self._settings, self._meter, self._metrics = settings, meter, metrics
         self._receive, self._asgi_send, self._abort = receive, send, abort
         self._request_id, self._span = request_id, span
-        self._bucket = Bucket(settings.max_messages_per_s, time.monotonic())
+        # The session's, so that coming back does not fill it.
+        self._bucket = session.messages
         self._refused_in_a_row = 0
         self._ending = False
         self._finishing: tuple[int, str] | None = None
@@ -97,6 +102,7 @@ class StreamAttachment:
             asyncio.get_running_loop().call_later(LINGER_S, self._abort)
             if self._pump_task is not None:
                 await asyncio.wait([self._pump_task])
+            self._flow.close()
 
     def tell(self, message: dict[str, Any]) -> None:
         """Send a message when there is room."""
@@ -174,6 +180,7 @@ class StreamAttachment:
                 self.end(4400, str(unreadable))
             except Refusal as refused:
                 self._owe()
+                self._count_refusal()
                 await self._refuse(refused, ref=refused.ref)
             except ProblemError as problem:
                 await self._refuse(problem)
@@ -198,6 +205,8 @@ class StreamAttachment:
             session.touch()
         except ProblemError as problem:
             self._flow.refused(controls)
+            if problem.code in USELESS:
+                self._count_refusal()
             for refusal in self._refusals(problem, seq, controls):
                 await self._send(refusal)
 
@@ -208,6 +217,7 @@ class StreamAttachment:
             self._flow.put_control(control)
             self._session.touch()
         except ProblemError as problem:
+            self._count_refusal()
             await self._refuse(problem, ref=control.ref)
 
     def _spend(self, now: float, frame_bytes: int | None = None) -> None:
@@ -228,6 +238,11 @@ class StreamAttachment:
         """Count a message that has no answer of its own, or is refused anyway."""
         self._bucket.spend(1)
         if self._bucket.wait_s(time.monotonic()) > MAX_DEBT_S:
+            self.end(4429, "too many messages")
+
+    def _count_refusal(self) -> None:
+        """Count a message that was of no use, for the key: its streams end together where there are too many."""
+        if self._meter.refusal(self._session.owner):
             self.end(4429, "too many messages")
 
     async def _pump(self) -> None:
@@ -289,7 +304,7 @@ class StreamAttachment:
 
     def _error(self, problem: ProblemError, *, seq: int | None = None, ref: Echo = None) -> dict[str, Any]:
         self._metrics.refused_message(problem.code, frame=seq is not None)
-        log.info("message refused", session=self._session.id, seq=seq, code=problem.code, detail=problem.detail)
+        refusals.info("message refused", session=self._session.id, seq=seq, code=problem.code, detail=problem.detail)
         message: dict[str, Any] = {"type": "error", "problem": problem.body(self._request_id)}
         if seq is not None:
             message["seq"] = seq

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from ..problems import ProblemError
+from ..sessions.room import Share
 from ..sessions.session import Frame
 from .messages import Control
 
@@ -25,13 +26,17 @@ class Job:
 
 
 class Flow:
-    """The queue between the reader of a socket and the session; order is that of the messages."""
+    """The queue between the reader of a socket and the session; order is that of the messages.
 
-    def __init__(self, mode: Mode, credit: int, on_superseded: Callable[[], None]) -> None:
+    ``share`` holds the bytes of frames from here until they are answered.
+    """
+
+    def __init__(self, mode: Mode, credit: int, on_superseded: Callable[[], None], share: Share) -> None:
         self.mode = mode
         self.dropped = 0
         self._on_superseded = on_superseded
         self._credit = credit
+        self._share = share
         self._unanswered = 0
         self._jobs: deque[Job] = deque()
         self._controls = 0
@@ -49,7 +54,7 @@ class Flow:
         return controls
 
     def put_frame(self, frame: Frame, controls: list[Control]) -> None:
-        """Queue a frame. In ``latest`` it takes the place of the one that waits. Raises over-credit.
+        """Queue a frame. In ``latest`` it takes the place of the one that waits. Raises over-credit, at-capacity.
 
         A frame with controls of its own is not superseded: they would act on a frame they were not made for.
         """
@@ -57,13 +62,17 @@ class Flow:
             if self._unanswered >= self._credit:
                 detail = f"at most {self._credit} unanswered frames"
                 raise ProblemError("over-credit", detail, retry_after_s=0.1)
+            self._share.take(len(frame.data))
             self._unanswered += 1
         else:
             stale = next((job for job in self._jobs if job.frame is not None and not job.controls), None)
-            if stale is not None:
+            if stale is not None and stale.frame is not None:
+                self._share.take(len(frame.data) - len(stale.frame.data))
                 self._jobs.remove(stale)
                 self.dropped += 1
                 self._on_superseded()
+            else:
+                self._share.take(len(frame.data))
         self._jobs.append(Job(frame, controls))
         self._wake.set()
 
@@ -88,8 +97,10 @@ class Flow:
     def answered(self, job: Job) -> None:
         """The client is about to be told of ``job``."""
         self._controls -= len(job.controls)
-        if job.frame is not None and self.mode == "lossless":
-            self._unanswered -= 1
+        if job.frame is not None:
+            self._share.give(len(job.frame.data))
+            if self.mode == "lossless":
+                self._unanswered -= 1
 
     def refused(self, controls: list[Control]) -> None:
         """Controls went down with their frame."""
@@ -102,5 +113,11 @@ class Flow:
 
     def discard(self) -> None:
         """Forget all that waits."""
+        self._share.give(sum(len(job.frame.data) for job in self._jobs if job.frame is not None))
         self._jobs.clear()
         self._for_next.clear()
+
+    def close(self) -> None:
+        """Nothing comes or is answered any more."""
+        self.discard()
+        self._share.hold(0)

@@ -19,13 +19,15 @@ COMPOSE = GUIDE.parents[1] / "docker/compose.yaml"
 # The image says where the service listens and keeps its state; the others have a line of their own.
 NOT_PASSED_ON = {"host", "port", "state_dir", "api_keys", "admin_key", "max_lane_rss_bytes"}
 MIB = 1024 * 1024
+# Defaults that follow from the machine.
+MADE = {"lanes": "by usable cores", "max_upload_bytes": "an eighth of the usable memory, 128 to 512 MiB"}
 
 
 def settings_table() -> str:
     """Every field of Settings: its variable, its default, what it is."""
     rows = ["| variable | default | |", "|---|---|---|"]
     for name, field in Settings.model_fields.items():
-        made = "by usable cores" if field.default_factory else _told(field.default)
+        made = MADE[name] if field.default_factory else _told(field.default)
         rows.append(f"| `MFCMT_{name.upper()}` | {made} | {field.description} |")
     return "\n".join(rows)
 

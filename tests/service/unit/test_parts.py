@@ -15,6 +15,7 @@ from service.lanes.wire import Disorder, Splitter, decode_call, encode_call, fra
 from service.problems import ProblemError
 from service.sessions.bucket import Bucket
 from service.sessions.memory import Memory
+from service.sessions.room import Room, Share
 from service.sessions.session import Frame
 from service.sessions.trajectory import Entry, Trajectory, unpacked
 from service.stream.flow import Flow, Mode
@@ -102,7 +103,7 @@ def frame(seq: int) -> Frame:
 
 
 def flow(mode: Mode, credit: int = 2) -> Flow:
-    return Flow(mode, credit, lambda: None)
+    return Flow(mode, credit, lambda: None, Share(Room(1 << 20)))
 
 
 CONTROL = Control({"type": "remove", "target": 0}, None, on_next=False)

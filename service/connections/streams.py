@@ -1,0 +1,243 @@
+"""uvicorn's WebSocket: so many frames are parsed a turn, and who sends too many that carry nothing is cut."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Generator
+from typing import Any
+
+import structlog
+from uvicorn.protocols.utils import ClientDisconnected
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.frames import CloseCode, Frame
+from websockets.streams import StreamReader
+
+from .. import turns
+from ..observability.sampled import Sampled
+from ..sessions.bucket import Bucket
+from ..sessions.room import Room, Share
+from ..settings import Settings
+from .base import ABORT_EXTENSION, CROWDED, LEAVE_EXTENSION, SHARE
+
+ABORT_AFTER_S = 5.0
+# Frames of one connection that are parsed between two turns of the event loop, about 20 µs each.
+FRAMES_A_TURN = 32
+# Messages of one connection that the application is given between two turns.
+MESSAGES_A_TURN = 16
+LARGE_READ_BYTES = 128 * 1024
+# A part of a message below this counts as a control frame does: honest clients cut messages into larger ones.
+SMALL_FRAGMENT_BYTES = 1024
+# What a part of a message takes beside its bytes.
+FRAGMENT_BYTES = 64
+
+log = Sampled(structlog.get_logger("mfcmt.stream"))
+
+
+class PacedReader(StreamReader):
+    """The parser's input, which ends after so many frames until it is given another turn."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.behind = False
+        self._left = FRAMES_A_TURN
+
+    def turn(self, frames: int) -> None:
+        """Let the parser have so many more frames."""
+        self._left, self.behind = frames, False
+
+    def at_eof(self) -> Generator[None, None, bool]:
+        """As ever; the parser asks before each frame."""
+        while self._left <= 0 and self.buffer:
+            self.behind = True
+            yield
+        self._left -= 1
+        return (yield from super().at_eof())
+
+
+class FrameProtocol(WebSocketsSansIOProtocol):
+    """A client that stops reading, or floods, cannot keep its connection, and what it sends is counted."""
+
+    settings: Settings
+    room: Room
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._reader = self.conn.reader = PacedReader()
+        self.conn.parser = self.conn.parse()  # on the reader that is there now
+        next(self.conn.parser)
+        self._share = Share(self.room)
+        self._idle_frames = Bucket(self.settings.max_control_frames_per_s, time.monotonic())
+        self._queued_bytes = self._unread_bytes = self._in_a_row = 0
+        self._begun_at = 0.0
+        self._goes_on = self._served = False
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Nothing is held any more."""
+        super().connection_lost(exc)
+        self._unread_bytes = 0
+        self._reader.buffer.clear()
+        self.frames = []
+        self._share.hold(0 if self._served else self._queued_bytes)  # until the application has taken it
+
+    def data_received(self, data: bytes) -> None:
+        """Bytes of frames; of more frames than one turn's the rest waits for the next."""
+        # Asking for the turn costs one of the loop's; a frame that comes alone does not pay it.
+        late = self._reader.behind and turns.used_up(self.loop, turns.MESSAGES_S)
+        self._reader.turn(0 if late else FRAMES_A_TURN)
+        super().data_received(data)
+        if self.transport.is_closing():
+            return
+        # Of a large message, too, only so much is read in one turn: the kernel would hand over megabytes.
+        if self._reader.behind or len(data) > LARGE_READ_BYTES:
+            self._pause_reading()
+            if self.queue.empty() or self.close_sent:
+                self._go_on_later()
+        if self._begun_at == 0.0 and (self._reader.buffer or self.frames):
+            self._begun_at = self.loop.time()
+        self._count_bytes()
+
+    async def receive(self) -> Any:
+        """As ever; but no more than some in one turn of the loop, and none late in one."""
+        self._in_a_row = 0 if self.queue.empty() else self._in_a_row + 1
+        if self._in_a_row >= MESSAGES_A_TURN:
+            self._in_a_row = 0
+            await asyncio.sleep(0)
+        message = await self.queue.get()
+        if not self.queue.empty():
+            await turns.give_way(turns.MESSAGES_S)
+        else:
+            self._queued_bytes = 0
+            if self._reader.behind:
+                self._go_on_later()
+            elif self.read_paused and not self._goes_on:
+                self.read_paused = False
+                self.transport.resume_reading()
+            self._count_bytes()
+        return message
+
+    def send_receive_event_to_app(self) -> None:
+        """A message is whole: queue it, and read no more until it was taken."""
+        parts, self.frames, self._begun_at = self.frames, [], 0.0
+        if self.close_sent:
+            self._count_frame()
+            return
+        data = parts[0] if len(parts) == 1 else b"".join(parts)
+        if self.curr_msg_data_type == "text":
+            try:
+                self.queue.put_nowait({"type": "websocket.receive", "text": data.decode()})
+            except UnicodeDecodeError:
+                self.conn.send_close(CloseCode.INVALID_DATA)
+                self.handle_parser_exception()
+                return
+        else:
+            self.queue.put_nowait({"type": "websocket.receive", "bytes": bytes(data)})
+        self._queued_bytes += len(data)
+        self._pause_reading()
+
+    def handle_cont(self, event: Frame) -> None:
+        """A further part of a message."""
+        if not event.fin and len(event.data) < SMALL_FRAGMENT_BYTES:
+            self._count_frame()
+        super().handle_cont(event)
+
+    def handle_ping(self) -> None:
+        """A ping, whose pong is among what is to be sent."""
+        self._count_frame()
+        super().handle_ping()
+
+    def handle_pong(self, event: Frame) -> None:
+        """A pong, asked for or not."""
+        self._count_frame()
+        super().handle_pong(event)
+
+    async def run_asgi(self) -> None:
+        """Give the application ways to end the connection, and tell it if there are too many."""
+        extensions: dict[str, Any] = self.scope["extensions"]
+        extensions[ABORT_EXTENSION] = self.transport.abort
+        extensions[LEAVE_EXTENSION] = self._leave
+        self.scope["state"][SHARE] = self._share
+        self.scope["state"][CROWDED] = len(self.connections) > self.settings.max_connections
+        try:
+            await super().run_asgi()
+        finally:
+            self._served, self._queued_bytes = True, 0
+            if self.disconnected:
+                self._share.hold(0)
+
+    async def send(self, message: Any) -> None:
+        """As ever; and a refused handshake is complete, so that uvicorn does not log it as a fault.
+
+        Raises ClientDisconnected, an OSError, while the connection is being lost.
+        """
+        if self.transport.is_closing():
+            raise ClientDisconnected
+        await super().send(message)
+        if self.initial_response is not None and self.close_sent:
+            self.handshake_complete = True
+
+    def pause_writing(self) -> None:
+        """The client reads slower than we write; what it has not read counts."""
+        super().pause_writing()
+        self._unread_bytes = self.transport.get_write_buffer_size()
+        self._count_bytes()
+
+    def resume_writing(self) -> None:
+        """It has caught up."""
+        super().resume_writing()
+        self._unread_bytes = 0
+        self._count_bytes()
+
+    def send_keepalive_ping(self) -> None:
+        """As ever; but who has begun a message must end it some time."""
+        if self._begun_at and self.loop.time() - self._begun_at > self.settings.body_timeout_s:
+            log.info("stream cut", code="deadline-exceeded", detail="a message took too long")
+            self.transport.abort()
+        else:
+            super().send_keepalive_ping()
+
+    def keepalive_timeout(self) -> None:
+        """No pong: close, and cut if the close frame finds no reader either."""
+        super().keepalive_timeout()
+        self.loop.call_later(ABORT_AFTER_S, self.transport.abort)
+
+    def _leave(self) -> None:
+        self.transport.close()
+        self.loop.call_later(ABORT_AFTER_S, self.transport.abort)
+
+    def _go_on_later(self) -> None:
+        if not self._goes_on:
+            self._goes_on = True
+            self.loop.call_soon(self._go_on)
+
+    def _go_on(self) -> None:
+        self._goes_on = False
+        if not self.transport.is_closing():
+            self.data_received(b"")
+            if not self._reader.behind and self.queue.empty() and self.read_paused:
+                self.read_paused = False
+                self.transport.resume_reading()
+
+    def _pause_reading(self) -> None:
+        if not self.read_paused:
+            self.read_paused = True
+            self.transport.pause_reading()
+
+    def _count_frame(self) -> None:
+        """One frame more that carries nothing."""
+        if self._idle_frames.take(time.monotonic()) and not self.transport.is_closing():
+            log.info("stream cut", code="rate-limited", detail="too many control frames or small fragments")
+            self.transport.abort()
+
+    def _count_bytes(self) -> None:
+        """Hold what is here of this connection; cut it if there is no room."""
+        begun = (self.conn.current_size or 0) + FRAGMENT_BYTES * len(self.frames)
+        held = len(self._reader.buffer) + begun + self._queued_bytes + self._unread_bytes
+        if not self._share.hold(held) and not self.transport.is_closing():
+            log.info("stream cut", code="at-capacity", detail="too much is under way at once")
+            self._reader.buffer.clear()
+            self.frames = []
+            self.conn.fail(CloseCode.TRY_AGAIN_LATER, "at-capacity")
+            self.transport.write(b"".join(self.conn.data_to_send()))
+            self.close_sent = True
+            self._leave()

@@ -1,0 +1,346 @@
+"""Attacks on a server of one's own, one by one, while a neighbour streams and somebody asks whether it is alive.
+
+What is measured: how long the neighbour waits, beside an undisturbed stretch of the same length just before; how
+long the event loop works at a stretch, in processor time, which other work on the machine does not change; what
+the front and the lanes hold at most.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import statistics
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..app import STRETCHES
+from ..client import AsyncClient, AsyncSession, Frame, Ready, Result
+from ..client.address import Address
+from ..client.connection import Connection
+from ..lanes.usage import rss_bytes
+from .clips import Clip
+from .drive import quantile
+from .own import OwnServer
+from .run import run_loop
+from .siege_attacks import HEAVY_BYTES, MIB, Attack, padded
+from .usage import server_processes
+
+FPS = 30.0
+PROBES_PER_S = 10.0
+MEMORY_EVERY_S = 0.05
+# An attacker's sessions, and its frames with many targets for a long past.
+SESSIONS, PAST_TARGETS = 14, 16
+BESIEGED = "the-key-of-the-besieged-neighbour"
+BESIEGER = "the-key-of-the-one-who-besieges"
+# The least that a service gives itself; see docs/security.md.
+ROOM_BYTES = 128 * MIB
+# The stated bound of the front: what is under way, as much again in copies that are being made, and what else grows.
+BOUND_BYTES = 2 * ROOM_BYTES + 64 * MIB
+MAX_STALL_S = 0.05
+MAX_RATIO = 3.0
+# What a busy machine adds by itself is no fault: below this the neighbour's wait is no matter.
+UNFELT_S = 0.02
+PATIENCE_S = 30.0
+# A frame or two of the neighbour may be under way at any time.
+NEIGHBOURS_BYTES = 100_000
+SETTINGS: dict[str, Any] = {
+    "lanes": 1,
+    "max_sessions_per_lane": 64,
+    "api_keys": f"{BESIEGED},{BESIEGER}",
+    "signing_keys": "a-secret-of-the-siege",
+    "max_upload_bytes": ROOM_BYTES,
+}
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """``rounds`` of ``seconds`` undisturbed and as long besieged; ``past`` frames of a session's long past."""
+
+    rounds: int
+    seconds: float
+    past: int
+
+
+@dataclass(slots=True)
+class Waits:
+    """Seconds that the neighbour waited for results, and somebody for ``/livez``."""
+
+    results: list[float] = field(default_factory=list)
+    probes: list[float] = field(default_factory=list)
+
+    @property
+    def p99_s(self) -> float:
+        return quantile(self.results, 0.99)
+
+    @property
+    def worst_s(self) -> float:
+        return max(self.results + self.probes, default=0.0)
+
+
+@dataclass(slots=True)
+class Outcome:
+    """What one attack did."""
+
+    attack: str
+    rounds: list[tuple[Waits, Waits]] = field(default_factory=list)
+    stall_s: float = 0.0
+    front_bytes: int = 0
+    lanes_bytes: int = 0
+    front_above_rest_bytes: int = 0
+    answers: Counter[str] = field(default_factory=Counter)
+    damage: list[str] = field(default_factory=list)
+
+    @property
+    def ratio(self) -> float:
+        """The neighbour's p99 over undisturbed: of the rounds' the middle one, as other work may hit any of them."""
+        return statistics.median(besieged.p99_s / calm.p99_s for calm, besieged in self.rounds)
+
+    @property
+    def calm(self) -> Waits:
+        """Of all rounds, undisturbed."""
+        return _joined(calm for calm, _ in self.rounds)
+
+    @property
+    def besieged(self) -> Waits:
+        """Of all rounds, besieged."""
+        return _joined(besieged for _, besieged in self.rounds)
+
+    def missed(self) -> list[str]:
+        """The targets that were missed."""
+        missed = list(self.damage)
+        if self.stall_s > MAX_STALL_S:
+            missed.append(f"the loop was busy for {self.stall_s * 1e3:.0f} ms at a stretch")
+        if self.ratio > MAX_RATIO and self.besieged.p99_s > UNFELT_S:
+            missed.append(f"the neighbour's p99 grew {self.ratio:.1f} times")
+        if self.front_above_rest_bytes > BOUND_BYTES:
+            missed.append(f"the front held {self.front_above_rest_bytes / 1e6:.0f} MB more than at rest")
+        return missed
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON; waits as their p99 and worst."""
+        waits = {
+            f"{name}_{what}_s": getattr(one, f"{what}_s")
+            for name, one in (("calm", self.calm), ("besieged", self.besieged))
+            for what in ("p99", "worst")
+        }
+        rest = {name: value for name, value in asdict(self).items() if name != "rounds"}
+        return rest | waits | {"ratio": self.ratio, "missed": self.missed()}
+
+
+def _joined(some: Iterable[Waits]) -> Waits:
+    joined = Waits()
+    for waits in some:
+        joined.results += waits.results
+        joined.probes += waits.probes
+    return joined
+
+
+class Siege:
+    """A server, its neighbour and its besieger's sessions; made by :func:`siege`."""
+
+    def __init__(self, server: OwnServer, clip: Clip, plan: Plan, stretches: Path) -> None:
+        self._server, self._clip, self._plan, self._stretches = server, clip, plan, stretches
+        self._processes = server_processes(server.pid)
+        self._rest_bytes = self._front_bytes()
+        self._ground: dict[str, Any] = {}
+        self._waits: Waits | None = None
+        self._neighbour: AsyncSession
+        self._log_read = 0
+
+    async def run(self, attacks: Sequence[Attack], tell: Tell) -> list[Outcome]:
+        """All ``attacks``, one by one."""
+        outcomes = []
+        async with (
+            AsyncClient(self._server.url, key=BESIEGED) as ours,
+            AsyncClient(self._server.url, key=BESIEGER) as theirs,
+        ):
+            self._neighbour = await ours.create(self._clip.frames[0], self._clip.box)
+            tell("the besieger makes its sessions")
+            await self._prepare(theirs)
+            self._rest_bytes = self._front_bytes()
+            watching = asyncio.ensure_future(self._probe())
+            streaming = asyncio.ensure_future(self._stream())
+            for attack in attacks:
+                tell(attack.name)
+                outcomes.append(await self._besiege(attack))
+                outcomes[-1].damage += await self._damage(ours, streaming)
+            for task in (watching, streaming):
+                task.cancel()
+            await asyncio.gather(watching, streaming, return_exceptions=True)
+        return outcomes
+
+    async def _prepare(self, theirs: AsyncClient) -> None:
+        first, box = self._clip.frames[0], self._clip.box
+        sessions = [await theirs.create(first, box) for _ in range(SESSIONS)]
+        past = await theirs.create(first, boxes=[box] * PAST_TARGETS)
+        frames = (self._clip.frame(1 + n) for n in range(self._plan.past))
+        async for _ in past.stream(frames, mode="lossless"):
+            pass
+        large = await theirs.create(padded(first, HEAVY_BYTES), box)
+        self._ground = {
+            "port": self._server.port,
+            "key": BESIEGER,
+            "sessions": [session.id for session in sessions],
+            "past": past.id,
+            "large": large.id,
+            "image": first.hex(),
+        }
+
+    async def _besiege(self, attack: Attack) -> Outcome:
+        outcome, plan = Outcome(attack.name), self._plan
+        before = self._memory()
+        for _ in range(plan.rounds):
+            process = await asyncio.create_subprocess_exec(
+                sys.executable,
+                "-m",
+                "service.load.siege_attacker",
+                attack.name,
+                stdin=asyncio.subprocess.PIPE,
+                stdout=asyncio.subprocess.PIPE,
+            )
+            assert process.stdin is not None
+            assert process.stdout is not None
+            try:
+                process.stdin.write(json.dumps(self._ground).encode() + b"\n")
+                await process.stdout.readline()
+                calm, besieged = Waits(), Waits()
+                outcome.rounds.append((calm, besieged))
+                self._waits = calm
+                await asyncio.sleep(plan.seconds)
+                self._waits = besieged
+                began = time.monotonic()
+                process.stdin.write(b"%g\n" % plan.seconds)
+                watching = asyncio.ensure_future(self._watch_memory(outcome, before))
+                told = await asyncio.wait_for(process.stdout.readline(), plan.seconds + PATIENCE_S)
+                await asyncio.sleep(0.2)
+                watching.cancel()
+            finally:
+                self._waits = None
+                with suppress(ProcessLookupError):
+                    process.kill()
+                await process.wait()
+            outcome.stall_s = max(outcome.stall_s, self._longest_stretch(began))
+            outcome.answers.update(json.loads(told)["answers"])
+        return outcome
+
+    async def _stream(self) -> None:
+        """The neighbour: a frame every so often, however late the answers are."""
+        sent_at: dict[int, tuple[float, Waits | None]] = {}
+        address = Address.of(self._server.url, BESIEGED, PATIENCE_S, PATIENCE_S)
+        connection = await Connection.open(address, self._neighbour.id, mode="lossless")
+        ready = await connection.receive()
+        assert isinstance(ready, Ready)
+
+        async def hear() -> None:
+            while True:
+                message = await connection.receive()
+                if isinstance(message, Result):
+                    sent, waits = sent_at.pop(message.seq)
+                    if waits is not None:
+                        waits.results.append(time.perf_counter() - sent)
+                else:
+                    raise RuntimeError(f"the neighbour was told {message}")
+
+        async def say() -> None:
+            begun = time.perf_counter()
+            seq, due = ready.next_seq, 0
+            while True:
+                await asyncio.sleep(max(0.0, begun + due / FPS - time.perf_counter()))
+                if len(sent_at) < (ready.credit or 1):
+                    sent_at[seq] = begun + due / FPS, self._waits
+                    await connection.send_frame(Frame(self._clip.frame(1 + seq), seq=seq))
+                    seq += 1
+                due += 1
+
+        await asyncio.gather(hear(), say())
+
+    async def _probe(self) -> None:
+        while True:
+            began, waits = time.perf_counter(), self._waits
+            reader, writer = await asyncio.open_connection("127.0.0.1", self._server.port)
+            writer.write(b"GET /livez HTTP/1.1\r\nHost: service\r\nConnection: close\r\n\r\n")
+            await reader.readline()
+            took_s = time.perf_counter() - began
+            writer.close()
+            if waits is not None:
+                waits.probes.append(took_s)
+            await asyncio.sleep(max(0.0, 1 / PROBES_PER_S - took_s))
+
+    async def _watch_memory(self, outcome: Outcome, before: tuple[int, int]) -> None:
+        while True:
+            front, lanes = self._memory()
+            outcome.front_bytes = max(outcome.front_bytes, front - before[0])
+            outcome.lanes_bytes = max(outcome.lanes_bytes, lanes - before[1])
+            outcome.front_above_rest_bytes = max(outcome.front_above_rest_bytes, front - self._rest_bytes)
+            await asyncio.sleep(MEMORY_EVERY_S)
+
+    def _memory(self) -> tuple[int, int]:
+        lanes = sum(rss_bytes(pid) for role, pid in self._processes.items() if role.startswith("lane"))
+        return self._front_bytes(), lanes
+
+    def _front_bytes(self) -> int:
+        return rss_bytes(self._server.pid)
+
+    def _longest_stretch(self, since: float) -> float:
+        lines = (line.split() for line in self._stretches.read_text().splitlines())
+        return max((float(stretch) for at, stretch in lines if float(at) >= since), default=0.0)
+
+    async def _damage(self, ours: AsyncClient, streaming: asyncio.Future[None]) -> list[str]:
+        """What is not as it was before the attack."""
+        damage = []
+        if streaming.done():
+            damage.append(f"the neighbour's stream ended: {streaming.exception()}")
+        if self._server.exit_code is not None:
+            damage.append(f"the server ended with {self._server.exit_code}")
+        elif server_processes(self._server.pid) != self._processes:
+            damage.append("a lane was lost")
+            self._processes = server_processes(self._server.pid)
+        log = self._server.log
+        faults = [line for line in log[self._log_read :].splitlines() if "Traceback" in line or '"error"' in line]
+        damage += [f"a fault in the log: {line[:200]} ... {line[-200:]}" for line in faults[:2]]
+        self._log_read = len(log)
+        held = await self._still_held()
+        if held > NEIGHBOURS_BYTES:
+            damage.append(f"{held / 1e6:.1f} MB are held for nobody")
+        try:
+            async with asyncio.timeout(PATIENCE_S), await ours.create(self._clip.frames[0], self._clip.box) as session:
+                await session.track(self._clip.frames[1])
+        except Exception as failed:
+            damage.append(f"a new session does not work: {failed!r}")
+        return damage
+
+    async def _still_held(self) -> int:
+        """Bytes that the service counts as under way, once they are few or do not become fewer any more."""
+        give_up = time.monotonic() + PATIENCE_S
+        held = NEIGHBOURS_BYTES + 1
+        while held > NEIGHBOURS_BYTES and time.monotonic() < give_up:
+            await asyncio.sleep(0.1)
+            with suppress(OSError):
+                reader, writer = await asyncio.open_connection("127.0.0.1", self._server.port, limit=MIB)
+                writer.write(b"GET /metrics HTTP/1.1\r\nHost: service\r\nConnection: close\r\n\r\n")
+                text = await reader.read()
+                writer.close()
+                held = next(
+                    int(float(line.split()[1]))
+                    for line in text.splitlines()
+                    if line.startswith(b"mfcmt_under_way_bytes ")
+                )
+        return held
+
+
+def siege(clip: Clip, plan: Plan, attacks: Sequence[Attack], tell: Tell) -> list[Outcome]:
+    """Start a server and attack it."""
+    with tempfile.TemporaryDirectory(prefix="mfcmt-siege-") as folder:
+        stretches = Path(folder) / "stretches"
+        with OwnServer(environment={STRETCHES: str(stretches)}, **SETTINGS) as server:
+            outcomes: list[Outcome] = run_loop(Siege(server, clip, plan, stretches).run(attacks, tell))
+    return outcomes

@@ -1,0 +1,201 @@
+"""What bounds bytes, refusals, log lines and large work; the highest lateness; the memory of the container."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from prometheus_client import CollectorRegistry, Histogram
+
+from service.api.trajectory import ROWS_AT_ONCE, _some
+from service.container import LEAST, MOST, room_bytes, usable_memory
+from service.observability.lag import WINDOW_S, Lag
+from service.observability.sampled import LINES_A_SECOND, Sampled
+from service.problems import ProblemError
+from service.schemas.packed import MAX_ITEMS_IN_ALL, MAX_TEXT_BYTES, Unreadable, from_json, from_msgpack, to_msgpack
+from service.sessions.few import Few
+from service.sessions.meter import MAX_LATE_S, Meter
+from service.sessions.room import STRANGER, Room, Share
+from service.sessions.session import Frame
+from service.sessions.trajectory import Entry
+from service.settings import Settings
+from service.stream.flow import Flow, Mode
+
+
+class Clock:
+    """Stands where it is put."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_one_owner_has_half_of_the_room_and_the_next_finds_some() -> None:
+    room = Room(120)
+    first, second, third = (Share(room, owner) for owner in ("a", "b", "c"))
+    assert not first.hold(61)
+    assert first.hold(60)
+    assert second.hold(30)
+    assert not second.hold(31)
+    assert third.hold(15)
+    with pytest.raises(ProblemError, match="at-capacity"):
+        first.take(1)
+    first.hold(0)
+    assert second.hold(50)
+
+
+def test_what_is_held_moves_with_its_owner() -> None:
+    room = Room(100)
+    share = Share(room)
+    assert share.hold(40)
+    share.belong("a")
+    assert Share(room, STRANGER).hold(30)
+    assert not Share(room, "a").hold(1)
+    share.hold(0)
+    assert room.held == 30
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 80)), max_size=60))
+def test_the_room_counts_right_whatever_is_asked_of_it(steps: list[tuple[int, int]]) -> None:
+    room = Room(100)
+    shares, held = [Share(room, str(n % 2)) for n in range(4)], [0] * 4
+    for who, size in steps:
+        if shares[who].hold(size):
+            held[who] = size
+        assert room.held == sum(held) <= 100
+    for share in shares:
+        share.hold(0)
+    assert (room.held, room._of) == (0, {})
+
+
+@pytest.mark.parametrize("mode", ["latest", "lossless"])
+def test_frames_that_wait_count_until_they_are_answered(mode: Mode) -> None:
+    room = Room(100)
+    flow = Flow(mode, 4, lambda: None, Share(room, "a"))
+
+    def put(seq: int, size: int) -> None:
+        flow.put_frame(Frame(bytes(size), seq, None, None, 0.0, 0.0), [])
+
+    async def scenario() -> None:
+        put(1, 30)
+        job = await flow.next()
+        put(2, 20)
+        with pytest.raises(ProblemError, match="at-capacity"):
+            put(3, 45)
+        flow.answered(job)
+        assert room.held == 20
+        put(4, 25)
+        assert room.held == (25 if mode == "latest" else 45)
+        job = await flow.next()
+        flow.discard()
+        flow.answered(job)
+        assert room.held == 0
+        flow.close()
+
+    asyncio.run(scenario())
+    assert room.held == 0
+
+
+def test_refusals_above_their_rate_come_late_and_not_ever_later() -> None:
+    clock = Clock()
+    meter = Meter(Settings(max_refusals_per_s=10), clock)
+    assert [meter.refusal("a") for _ in range(10)] == [0.0] * 10
+    assert meter.refusal("a") > 0
+    assert meter.refusal("b") == 0
+    for _ in range(1000):
+        late_s = meter.refusal("a")
+    assert late_s == MAX_LATE_S
+    clock.now += MAX_LATE_S + 1
+    assert meter.refusal("a") == 0
+
+
+async def test_a_few_at_once_of_each_key() -> None:
+    few, release = Few(2, 0.01, "snapshots"), asyncio.Event()
+
+    async def work() -> None:
+        async with few.turn("a"):
+            await release.wait()
+
+    working = [asyncio.ensure_future(work()) for _ in range(2)]
+    await asyncio.sleep(0)
+    with pytest.raises(ProblemError, match="at most 2 snapshots of a key at once"):
+        async with few.turn("a"):
+            pass
+    async with few.turn("b"):
+        pass
+    release.set()
+    await asyncio.gather(*working)
+    async with few.turn("a"):
+        pass
+    assert not few._lines
+
+
+def test_lines_that_a_stranger_causes_are_counted_and_not_all_written() -> None:
+    lines: list[dict[str, Any]] = []
+
+    class Log:
+        def info(self, event: str, **fields: Any) -> None:
+            lines.append({"event": event, **fields})
+
+    clock = Clock()
+    log = Sampled(Log(), clock)  # type: ignore[arg-type]
+    for _ in range(1000):
+        log.info("call", code="unauthenticated")
+    assert len(lines) == LINES_A_SECOND
+    log.info("call", code="rate-limited")
+    clock.now += 1
+    log.info("call", code="unauthenticated")
+    assert lines[-1] == {"event": "call", "code": "unauthenticated", "left_out": 1000 - LINES_A_SECOND}
+
+
+def test_a_stall_is_told_for_half_a_minute_at_least_and_then_forgotten() -> None:
+    clock = Clock()
+    lag = Lag(Histogram("late", "", registry=CollectorRegistry()), clock)
+    lag.observe(8.0)
+    for _ in range(int(WINDOW_S / 0.025)):
+        clock.now += 0.025
+        lag.observe(0.001)
+        assert lag.highest_s == 8.0
+    clock.now += 2 * WINDOW_S
+    lag.observe(0.002)
+    assert lag.highest_s == 0.002
+
+
+def test_the_room_follows_the_containers_memory(tmp_path: Path) -> None:
+    assert usable_memory(tmp_path) == usable_memory()
+    (tmp_path / "memory").mkdir()
+    (tmp_path / "memory" / "memory.limit_in_bytes").write_text("1073741824\n")
+    assert usable_memory(tmp_path) == 1 << 30
+    (tmp_path / "memory.max").write_text("2147483648\n")
+    assert usable_memory(tmp_path) == 2 << 30
+    (tmp_path / "memory.max").write_text("max\n")
+    assert usable_memory(tmp_path) == usable_memory(tmp_path / "nowhere")
+    assert LEAST <= room_bytes() <= MOST
+    assert Settings().max_upload_bytes == room_bytes()
+
+
+def test_documents_of_too_many_items_are_refused_unread() -> None:
+    for many in (b"1,", b"[],", b"{},", b'{"a":1},'):
+        with pytest.raises(Unreadable, match="too many items"):
+            from_json(b"[" + many * MAX_ITEMS_IN_ALL + b"1]")
+        with pytest.raises(Unreadable, match="too many items"):
+            from_json("[" + many.decode() * MAX_ITEMS_IN_ALL + "1]")
+    frame = "a" * 400_000
+    assert from_json(f'{{"frame":"{frame}"}}') == {"frame": frame}
+    with pytest.raises(Unreadable):
+        from_msgpack(to_msgpack({"a": "a" * (MAX_TEXT_BYTES + 1)}))
+
+
+@given(st.lists(st.integers(0, 300), max_size=50))
+def test_parts_of_a_past_are_small_by_their_targets(targets: list[int]) -> None:
+    entries = [Entry(n, None, [1, 1], None, [[0]] * count) for n, count in enumerate(targets)]
+    parts = list(_some(iter(entries)))
+    assert [entry for part in parts for entry in part] == entries
+    for part in parts:
+        assert sum(1 + len(entry.rows) for entry in part[:-1]) < ROWS_AT_ONCE
