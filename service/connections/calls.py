@@ -5,12 +5,11 @@ from __future__ import annotations
 import asyncio
 import json
 import secrets
-from http import HTTPStatus
 from typing import Any
 
 import structlog
 from uvicorn.protocols.http.flow_control import FlowControl
-from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
+from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol, RequestResponseCycle
 
 from .. import turns
 from ..observability.sampled import Sampled
@@ -88,8 +87,10 @@ class CallProtocol(HttpToolsProtocol):
         self._feed()
 
     def handle_websocket_upgrade(self) -> None:
-        """As ever; this object has done its work then."""
+        """As ever; this object has done its work then, and leaves the connection as it reads."""
         self._upgraded = True
+        self._flow.behind = False
+        self._flow.resume_reading()
         self._share.hold(0)
         super().handle_websocket_upgrade()
 
@@ -260,10 +261,10 @@ class CallProtocol(HttpToolsProtocol):
         body = json.dumps(problem.body()).encode()
         wait = f"retry-after: {round(problem.members['retry_after_s'])}\r\n" if problem.members else ""
         head = (
-            f"HTTP/1.1 {kind.status} {HTTPStatus(kind.status).phrase}\r\ncontent-type: {MEDIA_TYPE}\r\n{wait}"
+            f"content-type: {MEDIA_TYPE}\r\n{wait}"
             f"content-length: {len(body)}\r\nx-request-id: {secrets.token_hex(8)}\r\nconnection: close\r\n\r\n"
         )
-        self.transport.write(head.encode() + body)
+        self.transport.write(STATUS_LINE[kind.status] + head.encode() + body)
         self.transport.close()
         self._watch_closing()
 
