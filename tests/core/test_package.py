@@ -87,7 +87,7 @@ def arrays_of(thing, seen=None):
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-@pytest.mark.parametrize("box", [(132, 98, 56, 44), (160, 20, 4, 200), (50, 50, 0.01, 100)])
+@pytest.mark.parametrize("box", [(132, 98, 56, 44), (160, 20, 4, 200), (50, 50, 1, 100)])
 def test_memory_of_a_tracker(box, preset, frames):
     """At most 1.5 MB beside what all trackers of a process share."""
     MFCMT(PRESETS[preset]).init(frames[0], box)
