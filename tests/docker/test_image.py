@@ -172,7 +172,6 @@ def test_kernels_are_there_for_both_cpus_and_nothing_is_compiled_or_warned_of(co
         done = container.run(["mfcmt", "warmup"], NUMBA_CPU_NAME=cpu)
         assert (done.returncode, done.stderr) == (0, "")
         assert re.match(rf"\d+ kernels are ready for {cpu} ", done.stdout)
-        assert f"in {container.opt}" in done.stdout
         done = container.run(["python", "-c", PRELOADED], NUMBA_CPU_NAME=cpu)
         assert (done.returncode, done.stderr) == (0, "")
         misses, hits = map(int, done.stdout.split())

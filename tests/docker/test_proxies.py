@@ -114,7 +114,7 @@ def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 @pytest.fixture(scope="module")
 def behind() -> Iterator[OwnServer]:
-    with OwnServer(lanes=1, api_keys=KEY, ping_interval_s=0.5, max_sessions_per_lane=STREAMS) as server:
+    with OwnServer(lanes=1, api_keys=KEY, ping_interval_s=0.5, max_sessions_per_lane=2 * STREAMS) as server:
         yield server
 
 
