@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from ipaddress import ip_address
 from pathlib import Path
@@ -16,7 +17,7 @@ from pydantic_settings import (
     SettingsConfigDict,
 )
 
-from mfcmt_core.cli.variables import unread_variables
+from mfcmt_core.cli.variables import OWN, PREFIX, unread_variables
 
 from . import environment
 from .container import room_bytes
@@ -201,8 +202,9 @@ class Settings(BaseSettings):
 
     @classmethod
     def leave_environment(cls) -> None:
-        """Take every variable of the settings out of the environment, so that no lane inherits a key."""
-        environment.take({f"MFCMT_{name.upper()}" for name in cls.model_fields} | set(OTLP_HEADERS))
+        """Take every variable of the settings, misspelt ones too, out of the environment: no lane inherits a key."""
+        environment.take({name for name in map(str.upper, os.environ) if name.startswith(PREFIX)} - set(OWN))
+        environment.take(OTLP_HEADERS)
 
     @field_validator("api_keys", "signing_keys", "allowed_origins", mode="before")
     @classmethod

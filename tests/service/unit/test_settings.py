@@ -49,7 +49,8 @@ def test_what_a_service_was_set_up_with_leaves_the_environment(monkeypatch: pyte
     monkeypatch.setenv("MFCMT_API_KEYS", "first-key-0000001")
     monkeypatch.setenv("mfcmt_admin_key", "the-operators-key")
     monkeypatch.setenv("OTEL_EXPORTER_OTLP_HEADERS", "authorization=the-collectors")
-    monkeypatch.setenv("MFCMT_OTHER", "not of the service")
+    monkeypatch.setenv("MFCMT_API_KEY", "first-key-0000001")  # misspelt
+    monkeypatch.setenv("OTHER", "not of the service")
     before = Settings()
     local_lanes(before)
     seen = subprocess.run([sys.executable, "-c", SHOW], capture_output=True, text=True, check=True).stdout
