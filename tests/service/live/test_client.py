@@ -338,7 +338,7 @@ from service.client import Client
 frames = [Path({str(first)!r}), Path({str(second)!r})]
 client = Client({server.url!r})
 sessions = [client.create(frames[0], {tuple(clip.box)!r}) for _ in range(2)]
-loops = [iter(session.stream(frames)) for session in sessions]
+loops = [iter(session.stream(frames, mode="lossless")) for session in sessions]
 print([next(loop).seq for loop in loops])
 other = Client({server.url!r})
 loop = iter(other.session(sessions[0].id).stream(frames, takeover=True))

@@ -13,6 +13,7 @@ from structlog.testing import capture_logs
 from service import app as application
 from service.app import create_app
 from service.lanes.interface import LaneStatus
+from service.problems import NO_LANE
 from service.sessions.session import Options
 from service.settings import Settings
 
@@ -54,7 +55,7 @@ class SomeLanes(Lanes):
         (1, 1, 0, 200, "ok"),
         (1, 0, 1, 200, "ok"),
         (0, 1, 1, 503, "lanes die again and again"),
-        (0, 0, 2, 503, "no lane is ready yet"),
+        (0, 0, 2, 503, NO_LANE),
     ],
 )
 async def test_the_service_is_ready_as_long_as_one_lane_is(

@@ -196,9 +196,9 @@ async def test_a_session_is_not_idle_until_it_is_restored(tmp_path: Path) -> Non
     ready = asyncio.Event()
     regain = second.lanes.regain
 
-    async def late(key: str) -> Place:
+    async def late(key: str, owner: str) -> Place:
         await ready.wait()
-        return await regain(key)
+        return await regain(key, owner)
 
     second.lanes.regain = late  # type: ignore[method-assign]
     await second.book.load()
