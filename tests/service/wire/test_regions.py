@@ -174,5 +174,5 @@ async def test_a_box_outside_the_cut_needs_the_whole_frame(wire: Wire, clip: Cli
         await stream.say(type="add", box=corner)
         added = await stream.hear("targets")
         assert [t["id"] for t in added["targets"]] == [0, 1]
-        over_http = await wire.track(session["id"], b"", region=",".join(map(str, after)))
+        over_http = await wire.track(session["id"], png(images[3]), region=",".join(map(str, after)))
         assert over_http.json()["code"] == "attached-elsewhere"
