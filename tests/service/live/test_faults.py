@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from typing import Any
 
@@ -54,6 +55,7 @@ async def test_bad_frames(server: OwnServer, client: AsyncClient, clip: Clip, wa
     """After each of them the next good frame is tracked as if it had not been."""
     bad = bad_frames(clip.frames[1], clip.size)
     said = in_process(clip, [clip.box])
+    await asyncio.sleep(1)  # of each kind of refusal so many lines a second are written; other tests had theirs
     with watch(server) as log:
         async with await client.create(clip.frames[0], clip.box) as session:
             if way == "http":
