@@ -76,7 +76,7 @@ def _session_answer(description: str) -> dict[str, Any]:
     return {"description": description, "content": content("Session", examples.SESSION)}
 
 
-_FOUR = r"\d{1,4},\d{1,4},[1-9]\d{0,3},[1-9]\d{0,3}"
+_FOUR = r"(0|[1-9]\d{0,3}),(0|[1-9]\d{0,3}),[1-9]\d{0,3},[1-9]\d{0,3}"
 _BOX_TEXT = {"type": "string", "description": "`x,y,w,h` or a JSON array", "pattern": f"^{_FOUR}$"}
 _BOXES_TEXT = {
     "type": "string",

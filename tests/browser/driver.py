@@ -52,9 +52,9 @@ class Tracker:
         await self.page.click("#follow-suggestion")
         await self.frames(frames)
 
-    async def until(self, condition: str) -> None:
+    async def until(self, condition: str, patience_s: float = PATIENCE_MS / 1e3) -> None:
         """Wait until a JavaScript expression is true."""
-        give_up = time.monotonic() + PATIENCE_MS / 1e3
+        give_up = time.monotonic() + patience_s
         while not await self.page.evaluate(condition):
             assert time.monotonic() < give_up, f"never: {condition}; {await self.notice()!r} {self.said}"
             await asyncio.sleep(0.05)

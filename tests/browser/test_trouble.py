@@ -46,8 +46,8 @@ async def test_says_so_while_the_server_is_away(open_page: Open, own_server: Cal
         server.stop()
         await user.until("document.getElementById('notice').innerText.includes('Reconnecting')")
         assert await user.page.get_attribute("#connection", "data-tone") == "busy"
-        server.start()  # it has forgotten the session
-        await user.until("document.documentElement.dataset.state === 'ended'")
+        server.start()  # it has forgotten the session; for a minute that may be a stand-in for the one that has not
+        await user.until("document.documentElement.dataset.state === 'ended'", patience_s=120)
         assert "The session is gone" in await user.notice()
         await user.page.click("#notice-action")
         await user.until(STARTED)
