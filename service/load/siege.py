@@ -16,7 +16,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -41,8 +41,9 @@ BESIEGED = "the-key-of-the-besieged-neighbour"
 BESIEGER = "the-key-of-the-one-who-besieges"
 # The least that a service gives itself; see docs/security.md.
 ROOM_BYTES = 128 * MIB
-# The stated bound of the front: what is under way, as much again in copies that are being made, and what else grows.
-BOUND_BYTES = 2 * ROOM_BYTES + 64 * MIB
+# The stated bound of the front: what is under way, as much again in copies that are being made, half as much that the
+# C library keeps of what was freed, and what else grows.
+BOUND_BYTES = 2 * ROOM_BYTES + ROOM_BYTES // 2 + 64 * MIB
 MAX_STALL_S = 0.05
 MAX_RATIO = 3.0
 # What a busy machine adds by itself is no fault: below this the neighbour's wait is no matter.
@@ -132,7 +133,7 @@ class Outcome:
             for name, one in (("calm", self.calm), ("besieged", self.besieged))
             for what in ("p99", "worst")
         }
-        rest = {name: value for name, value in asdict(self).items() if name != "rounds"}
+        rest = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "rounds"}
         return rest | waits | {"ratio": self.ratio, "missed": self.missed()}
 
 

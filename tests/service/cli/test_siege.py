@@ -17,7 +17,7 @@ def test_the_service_is_whole_after_every_attack(capsys: pytest.CaptureFixture[s
     outcomes = json.loads(capsys.readouterr().out)
     assert [outcome["attack"] for outcome in outcomes] == [attack.name for attack in ATTACKS]
     assert {outcome["attack"]: outcome["damage"] for outcome in outcomes if outcome["damage"]} == {}
-    assert max(outcome["front_above_rest_bytes"] for outcome in outcomes) <= BOUND_BYTES
+    assert max(outcome["front_bytes"] for outcome in outcomes) <= BOUND_BYTES
     assert sum(bool(outcome["answers"]) for outcome in outcomes) > len(ATTACKS) / 2
     with capsys.disabled():
         longest = max(outcomes, key=lambda outcome: outcome["stall_s"])
