@@ -31,14 +31,14 @@ class BackgroundAwareFilter:
     ``unmasked`` is what they were masked from, times the penalty and with the multiplier.
     """
 
-    def __init__(self, window: SearchWindow, channels: int, label_f: Spectra, regularization: float) -> None:
-        n, half = window.cells, window.cells // 2 + 1
+    def __init__(self, search_window: SearchWindow, channels: int, label_f: Spectra, regularization: float) -> None:
+        n, half = search_window.cells, search_window.cells // 2 + 1
         self.regularization = regularization
         self.label = (np.conj(label_f) / n**2).astype(np.complex64)
         self.filters = np.zeros((channels, n, half), np.complex64)
         self.unmasked = np.zeros((channels, n, half), np.complex64)
         self.all_channels = np.array([0, channels], np.int64)
-        frequencies, cells = np.arange(n), [_middle(n, side) for side in window.target]
+        frequencies, cells = np.arange(n), [_middle(n, side) for side in search_window.target]
         rows = np.exp(2j * np.pi / n * np.outer(cells[1], frequencies))
         self.rows_back, self.rows = rows.astype(np.complex64), rows.conj().T.astype(np.complex64)
         angles = 2 * np.pi / n * np.outer(frequencies[:half], cells[0])
@@ -47,20 +47,20 @@ class BackgroundAwareFilter:
         self.columns_back = (waves * twice[:, None, None]).reshape(2 * half, -1).astype(np.float32)
         self.columns = np.ascontiguousarray(waves.reshape(2 * half, -1).T, np.float32)
 
-    def train(self, mean: Spectra, first: bool = False) -> None:
-        """Solve for the running ``mean`` of the target's spectra, (channels, n, n // 2 + 1) complex64."""
-        power = scratch("background_power", mean.shape[1:])
-        energy(mean, self.all_channels, power)
-        power /= mean.shape[1] ** 2
-        before = np.float32(PENALTIES[-1])
+    def train(self, mean_spectra: Spectra, first: bool = False) -> None:
+        """Solve for the running ``mean_spectra`` of the target's spectra, (channels, n, n // 2 + 1) complex64."""
+        power = scratch("background_power", mean_spectra.shape[1:])
+        energy(mean_spectra, self.all_channels, power)
+        power /= mean_spectra.shape[1] ** 2
+        last_penalty = np.float32(PENALTIES[-1])
         if first:
             self.filters[:], self.unmasked[:] = 0, 0
-            before = np.float32(0)
+            last_penalty = np.float32(0)
         for penalty in map(np.float32, PENALTIES if first else PENALTIES[-1:]):
-            solve_background(mean, self.label, power, before, penalty, self.filters, self.unmasked)
+            solve_background(mean_spectra, self.label, power, last_penalty, penalty, self.filters, self.unmasked)
             masked = self._masked(self.unmasked)
             np.multiply(masked, np.float32(1 / (penalty + self.regularization)), out=self.filters)
-            before = penalty
+            last_penalty = penalty
 
     def _masked(self, spectra: Spectra) -> Spectra:
         """The spectra of what ``spectra`` have inside the target's box."""

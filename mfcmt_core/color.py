@@ -17,11 +17,11 @@ Rectangle = tuple[int, int, int, int]
 
 BINS = 32
 """Bins a channel (section IV-A)."""
-MAX_GAIN = np.float32(1e9)
+MAX_DECAY_SCALE = np.float32(1e9)
 """Of the histograms; beyond it they are scaled back to 1."""
-BAND = 0.1
+BAND_FRACTION = 0.1
 """Width of the band around a box, of the box's sides."""
-SEEN = 1e-12
+MIN_MASS = 1e-12
 """Part of both regions from which on a colour counts as seen then."""
 
 
@@ -35,28 +35,28 @@ class ColorModel:
     target; the ring between belongs to neither. Each histogram has sum 1, which makes equation 6 the
     regression of equation 5 with its two terms normalised by area. A grey sequence has one axis of bins.
 
-    ``histograms`` (bins, 2) float32, foreground and background, are kept times ``gain``: where the rest would
+    ``histograms`` (bins, 2) float32, foreground and background, are kept times ``decay_scale``: where the rest would
     fade by 1 - η, what is new counts the more instead. Equation 6 does not see a common factor, and of thousands
     of bins only those have to be touched that a patch shows.
     """
 
-    def __init__(self, config: MFCMTConfig, window: SearchWindow, grey: bool) -> None:
-        self.grey = grey
+    def __init__(self, config: MFCMTConfig, search_window: SearchWindow, is_gray: bool) -> None:
+        self.is_gray = is_gray
         self.rate = np.float32(config.histogram_learning_rate)
         self.unseen = np.float32(config.unseen_likelihood)
-        size = BINS if grey else BINS**3
+        size = BINS if is_gray else BINS**3
         self.histograms = np.zeros((size, 2), np.float32)
-        self.gain = np.ones(1, np.float32)
+        self.decay_scale = np.ones(1, np.float32)
         self.lookup = np.zeros(size, np.float32)
-        side = window.patch_size
-        per_cell = side / window.cells  # 150 px hold 37 cells of 4.05
-        w, h = window.target[0] * per_cell, window.target[1] * per_cell
+        side = search_window.patch_size
+        per_cell = side / search_window.cells  # 150 px hold 37 cells of 4.05
+        w, h = search_window.target[0] * per_cell, search_window.target[1] * per_cell
         self.inner = _centered(side, w * config.foreground_fraction, h * config.foreground_fraction)
         self.outer = _centered(side, w, h)
         self.box = (self.outer[3] - self.outer[1], self.outer[2] - self.outer[0])  # (w, h)
-        self.band = tuple(max(1, round(BAND * length)) for length in self.box)
+        self.band = tuple(max(1, round(BAND_FRACTION * length)) for length in self.box)
         self.band_weight = np.float32(config.surroundings_weight)
-        (rx, ry), (bw, bh) = window.reach, self.box
+        (rx, ry), (bw, bh) = search_window.reach, self.box
         steps_x, steps_y = np.arange(-rx, rx + 1) * CELL, np.arange(-ry, ry + 1) * CELL
         self.columns = np.clip((side - bw) // 2 + steps_x, 0, side - bw)
         self.rows = np.clip((side - bh) // 2 + steps_y, 0, side - bh)
@@ -76,23 +76,23 @@ class ColorModel:
     def learn(self, bins: Bins, offset: tuple[float, float] = (0, 0), first: bool = False) -> None:
         """Move both histograms towards those of a patch of the target (equation 11), ``offset`` (x, y) cells off it."""
         rate = np.float32(1) if first else self.rate
-        self._fade(np.float32(1) - rate)
+        self._decay(np.float32(1) - rate)
         dx, dy = round(offset[0] * CELL), round(offset[1] * CELL)
         shown = scratch("colors_shown", (bins.size,), np.uint16)
         counts = scratch("color_counts", self.lookup.shape, np.int64)  # nobody else's: always zero
         learn_colors(
-            bins, self.inner, self.outer, dx, dy, rate, self.gain[0], self.unseen, shown, counts, self.histograms,
-            self.lookup,
+            bins, self.inner, self.outer, dx, dy, rate, self.decay_scale[0], self.unseen, shown, counts,
+            self.histograms, self.lookup,
         )  # fmt: skip
 
-    def _fade(self, keep: np.float32) -> None:
+    def _decay(self, keep: np.float32) -> None:
         """Multiply what is known by ``keep``."""
-        if keep * MAX_GAIN > self.gain[0]:
-            self.gain /= keep
+        if keep * MAX_DECAY_SCALE > self.decay_scale[0]:
+            self.decay_scale /= keep
             return
-        self.histograms *= keep / self.gain
-        self.histograms[self.histograms.sum(1) < SEEN] = 0
-        self.gain[0] = 1
+        self.histograms *= keep / self.decay_scale
+        self.histograms[self.histograms.sum(1) < MIN_MASS] = 0
+        self.decay_scale[0] = 1
         self.refresh()
 
     def refresh(self) -> None:
@@ -101,7 +101,7 @@ class ColorModel:
 
     def bins(self, patch: Image) -> Bins:
         """The histogram bin of each pixel of ``patch`` (H, W[, 3]), (H, W) uint16."""
-        if not self.grey:  # five bits of each of red, green and blue, red lowest
+        if not self.is_gray:  # five bits of each of red, green and blue, red lowest
             return cv2.cvtColor(patch, cv2.COLOR_RGB2BGR555).view(np.uint16)[..., 0]
         bins = np.empty(patch.shape, np.uint16)
         bin_gray(patch, bins)

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from .errors import BadConfig
 
-Window = Literal["target", "context", "square"]
+WindowShape = Literal["target", "context", "square"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +20,7 @@ class MFCMTConfig:
     """
 
     # Search window (section IV-A: "twice the last object size", resized to 150×150)
-    window: Window = "context"
+    window: WindowShape = "context"
     """Shape: ``target`` k·(w, h); ``context`` (w, h) + (k - 1)·(w + h) / 2; ``square`` k·√(wh)."""
     search_area_scale: float = 2.5
     """k, the factor of the window over the target."""

@@ -50,10 +50,10 @@ def check_box(box: Iterable[float], frame_size: tuple[int, int]) -> Box:
     inside_w = min(x + w, width) - max(x, 0.0)
     inside_h = min(y + h, height) - max(y, 0.0)
     if inside_w <= 0 or inside_h <= 0 or inside_w * inside_h < 0.25 * w * h:
-        told = f"less than a quarter of the box lies in the frame of {width}x{height}; a box is x, y, w, h"
+        message = f"less than a quarter of the box lies in the frame of {width}x{height}; a box is x, y, w, h"
         if 0 <= x < w <= width and 0 <= y < h <= height:
-            told += ". These numbers fit as corners x1, y1, x2, y2: then w is x2 - x1 and h is y2 - y1"
-        raise BadBox(told, (x, y, w, h))
+            message += ". These numbers fit as corners x1, y1, x2, y2: then w is x2 - x1 and h is y2 - y1"
+        raise BadBox(message, (x, y, w, h))
     return x, y, w, h
 
 
@@ -102,16 +102,16 @@ class Frame:
         if needed[0] < x or needed[1] < y or needed[0] + needed[2] > x + w or needed[1] + needed[3] > y + h:
             raise RegionTooSmall(self.rect, needed)
 
-    def sample(self, rect: Rect, within: Rect, out_size: tuple[int, int]) -> Image:
-        """``rect`` resized to ``out_size`` (w, h); beyond ``within`` its border pixels repeat.
+    def sample(self, rect: Rect, readable: Rect, out_size: tuple[int, int]) -> Image:
+        """``rect`` resized to ``out_size`` (w, h); beyond ``readable`` its border pixels repeat.
 
         A large rectangle is thinned out first, so the cost follows the patch and not the rectangle; what
         remains is resized by less than four, where bilinear interpolation averages enough.
         """
         x, y, w, h = rect
         step_x, step_y = max(w // (2 * out_size[0]), 1), max(h // (2 * out_size[1]), 1)
-        x0, x1, left, right = _inside(x, w, step_x, within[0], within[2])
-        y0, y1, top, bottom = _inside(y, h, step_y, within[1], within[3])
+        x0, x1, left, right = _split_samples(x, w, step_x, readable[0], readable[2])
+        y0, y1, top, bottom = _split_samples(y, h, step_y, readable[1], readable[3])
         ox, oy = self.offset
         pixels = _columns(self.image[y0 - oy : y1 - oy : step_y], x0 - ox, x1 - ox, step_x)
         if left or right or top or bottom:
@@ -135,7 +135,7 @@ def _columns(rows: Image, first: int, last: int, step: int) -> Image:
     return cv2.resize(wide, (count, len(rows)), interpolation=cv2.INTER_NEAREST)  # type: ignore[return-value]
 
 
-def _inside(start: int, length: int, step: int, low: int, extent: int) -> tuple[int, int, int, int]:
+def _split_samples(start: int, length: int, step: int, low: int, extent: int) -> tuple[int, int, int, int]:
     """Of the samples start, start + step, … of ``length``: slice of those in the extent, counts outside."""
     count = length // step
     before = min(max(-((start - low) // step), 0), count)
@@ -198,14 +198,14 @@ class SearchWindow:
         h = max(2, round(self.extent[1] * scale * grow))
         return floor(center[0] - w / 2 + 0.5), floor(center[1] - h / 2 + 0.5), w, h
 
-    def crop(self, frame: Frame, within: Rect, center: tuple[float, float], scale: float) -> Patch:
-        """The window's pixels at ``center`` and ``scale``; nothing outside ``within`` is looked at."""
+    def crop(self, frame: Frame, readable: Rect, center: tuple[float, float], scale: float) -> Patch:
+        """The window's pixels at ``center`` and ``scale``; nothing outside ``readable`` is looked at."""
         side = self.patch_size + 2 * self.margin
         x, y, w, h = rect = self.rect(center, scale, side / self.patch_size)
-        pixels = frame.sample(rect, within, (side, side))
+        pixels = frame.sample(rect, readable, (side, side))
         return Patch(pixels, rect, (x + w / 2, y + h / 2), (w / side, h / side))
 
-    def neighbour(self, center: tuple[float, float], scale: float, side: int) -> tuple[float, float]:
+    def neighbor(self, center: tuple[float, float], scale: float, side: int) -> tuple[float, float]:
         """Centre of the window half a window to the left (``side`` 0), up (1), to the right (2) or down (3)."""
         half = self.extent[side % 2] * scale / 2
         step = half if side >= 2 else -half

@@ -39,13 +39,13 @@ class ScaleModel:
     Spectra are half spectra along the n samples, (cells, 31, n // 2 + 1) complex64, and count from the present scale,
     so that the symmetric label's is real.
 
-    ``waited`` counts the frames learned from since the scale was searched last.
+    ``frames_since_search`` counts the frames learned from since the scale was searched last.
     """
 
     def __init__(self, config: MFCMTConfig, base_size: tuple[float, float]) -> None:
         n = self.count = min(config.scale_samples, config.num_scales)
         self.interval = config.scale_interval
-        self.waited = 0
+        self.frames_since_search = 0
         self.rate = np.float32(config.scale_learning_rate)
         self.regularization = np.float32(config.scale_regularization)
         self.epsilon = np.float32(config.hog_epsilon)
@@ -60,7 +60,7 @@ class ScaleModel:
         self.largest = sample_step ** (n // 2)
         padding = (0, -n % LANES)
         self.lane_factors = np.pad(sample_step**steps, padding, constant_values=1).astype(np.float32)
-        self.window = np.pad(np.hanning(n + 2)[1:-1], padding).astype(np.float32)
+        self.hann = np.pad(np.hanning(n + 2)[1:-1], padding).astype(np.float32)
         # n is small and odd: a matrix product beats any transform
         frequencies = 2 * np.pi / n * np.arange(n // 2 + 1)
         waves = np.exp(-1j * np.outer(np.pad(steps, padding), frequencies)).astype(np.complex64)
@@ -72,26 +72,26 @@ class ScaleModel:
         label = np.exp(-0.5 * (steps * spacing / (sqrt(config.num_scales) * config.scale_sigma_factor)) ** 2)
         self.label_f = (label @ np.cos(np.outer(steps, frequencies))).astype(np.float32)
         cells = (self.width // CELL) * (self.height // CELL)
-        self.mean: Spectra = np.zeros((cells, CHANNELS, len(frequencies)), np.complex64)
+        self.numerator: Spectra = np.zeros((cells, CHANNELS, len(frequencies)), np.complex64)
         self.energy = np.zeros(len(frequencies), np.float32)
 
-    def takes_turn(self, busy: bool) -> bool:
+    def advance(self, busy: bool) -> bool:
         """One more frame is learned from: whether it is one to search.
 
         Every ``interval``-th is, but a ``busy`` one, which has had more to do than others, leaves it to the next,
         until twice the interval has passed.
         """
-        self.waited += 1
-        if self.waited < self.interval * (2 if busy else 1):
+        self.frames_since_search += 1
+        if self.frames_since_search < self.interval * (2 if busy else 1):
             return False
-        self.waited = 0
+        self.frames_since_search = 0
         return True
 
     def estimate(self, spectra: Spectra) -> float:
         """The factor by which the target's size differs from the one that ``spectra`` were taken at."""
         products = scratch("scale_products", spectra.shape[1:], np.complex64)
         response_f = scratch("scale_response", self.energy.shape, np.complex64)
-        respond_scales(spectra, self.mean, self.label_f, self.energy, self.regularization, products, response_f)
+        respond_scales(spectra, self.numerator, self.label_f, self.energy, self.regularization, products, response_f)
         response = self.inverse @ response_f.view(np.float32)
         best, same = response.argmax(), len(self.factors) // 2
         return float(self.factors[best if response[best] > response[same] else same])
@@ -100,18 +100,20 @@ class ScaleModel:
         """Move the filter towards the target, which is ``growth`` times the size that ``spectra`` were taken at."""
         rate = np.float32(1) if first else self.rate
         angles = self.angle_of_growth * np.float32(log(growth))
-        turns = scratch("scale_products", spectra.shape[1:], np.complex64)
-        learn_scales(spectra, angles, rate, self.mean, self.energy, turns, scratch("scale_squares", turns.shape))
+        rotations = scratch("scale_products", spectra.shape[1:], np.complex64)
+        learn_scales(
+            spectra, angles, rate, self.numerator, self.energy, rotations, scratch("scale_squares", rotations.shape)
+        )
 
-    def adopt(self, waves: Reals, sums: Reals, energy: Reals) -> None:
+    def load_real_waves(self, waves: Reals, sums: Reals, energy: Reals) -> None:
         """Take over a filter whose frequencies from 1 on are cosine sums, then sine sums, each padded to lanes.
 
         ``waves`` (features, 2 · lanes), ``sums`` (features,) frequency 0, ``energy`` (lanes + 1,) that one last.
         """
         reach, lanes = self.count // 2, len(energy) - 1
-        mean = self.mean.reshape(len(sums), -1)
-        mean[:, 0], self.energy[0] = sums, energy[-1]
-        mean[:, 1:] = waves[:, :reach] - 1j * waves[:, lanes : lanes + reach]
+        numerator = self.numerator.reshape(len(sums), -1)
+        numerator[:, 0], self.energy[0] = sums, energy[-1]
+        numerator[:, 1:] = waves[:, :reach] - 1j * waves[:, lanes : lanes + reach]
         self.energy[1:] = energy[:reach]
 
     def clamp(self, scale: float, frame_size: tuple[int, int]) -> float:
@@ -121,10 +123,12 @@ class ScaleModel:
         highest = max(1.0, min(frame_size[0] / w, frame_size[1] / h))
         return min(max(scale, lowest), highest)
 
-    def spectra(self, frame: Frame, within: Rect, center: tuple[float, float], scale: float) -> Spectra:
+    def spectra(self, frame: Frame, readable: Rect, center: tuple[float, float], scale: float) -> Spectra:
         """What the target's surroundings at that centre look like at each scale; scratch, until the next call."""
         w, h = self.base_size[0] * scale, self.base_size[1] * scale
-        gray, (cx, cy), (fx, fy) = _gray_cut(frame, within, center, (w, h), self.largest, (self.width, self.height))
+        gray, (cx, cy), (fx, fy) = _sample_gray(
+            frame, readable, center, (w, h), self.largest, (self.width, self.height)
+        )
         ny, nx, lanes = self.height // CELL, self.width // CELL, len(self.lane_factors)
         samples = (self.height, self.width, lanes)
         features = scratch("scale_features", (ny * nx, CHANNELS, lanes))
@@ -135,7 +139,7 @@ class ScaleModel:
             self.lane_factors * np.float32(w / self.width / fx),
             self.lane_factors * np.float32(h / self.height / fy),
             self.epsilon,
-            self.window,
+            self.hann,
             scratch("quads", gray.shape, np.uint32),
             scratch("scale_samples", samples),
             scratch("scale_magnitude", samples),
@@ -146,7 +150,7 @@ class ScaleModel:
             scratch("scale_texture", (4, lanes)),
             features,
         )
-        spectra = scratch("scale_spectra", self.mean.shape, np.complex64)
+        spectra = scratch("scale_spectra", self.numerator.shape, np.complex64)
         # row by row: products too small for a BLAS to bring its threads to, which cost more than they save
         rows = (ny, nx * CHANNELS, -1)
         np.matmul(features.reshape(rows), self.transform, out=spectra.view(np.float32).reshape(rows))
@@ -158,9 +162,9 @@ def _sample_side(side: float) -> int:
     return min(max(round(side / CELL) * CELL, 2 * CELL), MAX_SAMPLE_SIDE)
 
 
-def _gray_cut(
+def _sample_gray(
     frame: Frame,
-    within: Rect,
+    readable: Rect,
     center: tuple[float, float],
     size: tuple[float, float],
     largest: float,
@@ -176,7 +180,7 @@ def _gray_cut(
         cut.append(whole)
         out.append(min(whole, round(OVERSAMPLING * samples * largest) + 2))
     x, y = round(center[0] - cut[0] / 2), round(center[1] - cut[1] / 2)
-    pixels = frame.sample((x, y, cut[0], cut[1]), within, (out[0], out[1]))
+    pixels = frame.sample((x, y, cut[0], cut[1]), readable, (out[0], out[1]))
     gray = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY)
     factor = (cut[0] / out[0], cut[1] / out[1])
     return gray, ((center[0] - x) / factor[0], (center[1] - y) / factor[1]), factor  # type: ignore[return-value]

@@ -1,4 +1,7 @@
-"""A tracker to bytes and back: MessagePack around raw little-endian arrays, never pickle."""
+"""Write a tracker to bytes and read it back: MessagePack around raw little-endian arrays, never pickle.
+
+The names in a snapshot are part of its format and older than some of those in the code.
+"""
 
 from __future__ import annotations
 
@@ -22,38 +25,38 @@ if TYPE_CHECKING:
 
 FORMAT = "mfcmt-tracker"
 VERSION = 4
-PREVIOUS = 3
-"""Held the scale filter as real waves, and no anchor. Read, not written."""
-SINCE = {"scale_interval": 1, "surroundings_weight": 0.0}
-"""Parameters that it did not know, as it had them."""
+PREVIOUS_VERSION = 3
+"""The version before, which is read but not written. It held the scale filter as real waves, and no ``anchor``."""
+PREVIOUS_CONFIG = {"scale_interval": 1, "surroundings_weight": 0.0}
+"""Values of the parameters that the previous version did not have."""
 MAX_VALUE = 1e12
-"""Of any array: far above what images give, and responses to it stay inside float32."""
+"""Largest value in any array: far above what images give, and responses to it stay inside float32."""
 MIN_SIDE = 1e-3
-"""Of a target: trackers that were made before boxes below a pixel were refused are still read."""
+"""Smallest side of a target. Older trackers accepted boxes below one pixel, and their snapshots are still read."""
 SIGNED = ("scale_waves",)
 """Arrays of real numbers that may be negative."""
 MAX_BYTES = 16 << 20
-"""A larger one is refused unread; the default preset's takes well below one megabyte."""
+"""Size above which a snapshot is refused unread; that of the default preset is well below one megabyte."""
 
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """What a snapshot holds beside the configuration, checked except for the arrays."""
+    """The state in a snapshot, checked except for the arrays. ``reliability`` has the attributes of Reliability."""
 
     version: int
     base_size: tuple[float, float]
-    grey: bool
+    is_gray: bool
     center: tuple[float, float]
-    anchor: tuple[float, float]
+    last_reliable_center: tuple[float, float]
     scale: float
-    rival: tuple[float, float] | None
-    waited: int
+    runner_up: tuple[float, float] | None
+    frames_since_scale_search: int
     reliability: dict[str, Any]
     arrays: dict[str, Any]
 
 
 def dump(config: MFCMTConfig, target: Target, frame_size: tuple[int, int]) -> bytes:
-    """Everything that decides later results."""
+    """Return the bytes of everything that decides later results."""
     r = target.reliability
     document = {
         "format": FORMAT,
@@ -61,19 +64,19 @@ def dump(config: MFCMTConfig, target: Target, frame_size: tuple[int, int]) -> by
         "config": config.to_dict(),
         "frame_size": list(frame_size),
         "base_size": list(target.base_size),
-        "grey": target.grey,
+        "grey": target.is_gray,
         "center": list(target.center),
-        "anchor": list(target.anchor),
+        "anchor": list(target.last_reliable_center),
         "scale": target.scale,
-        "rival": target.rival,
-        "waited": target.sizes.waited if target.sizes else 0,
+        "rival": target.runner_up,
+        "waited": target.scale_model.frames_since_search if target.scale_model else 0,
         "reliability": {
             "history": [list(peaks) for peaks in r.history],
-            "usual": list(r.usual),
+            "usual": list(r.long_term_means),
             "learned": r.learned,
             "unreliable_run": r.unreliable_run,
             "lost": r.lost,
-            "doubtful": r.doubtful,
+            "doubtful": r.template_low,
         },
         "arrays": {name: _pack(array) for name, array in _arrays(target).items()},
     }
@@ -82,7 +85,10 @@ def dump(config: MFCMTConfig, target: Target, frame_size: tuple[int, int]) -> by
 
 
 def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
-    """Check a snapshot as far as that is possible without building models. Raises BadSnapshot."""
+    """Return the configuration, the state and the frame size (w, h) of a snapshot. Raises BadSnapshot.
+
+    Everything is checked but the arrays, which :func:`restore` checks against the models.
+    """
     if not isinstance(data, bytes | bytearray | memoryview):
         raise BadSnapshot(f"{type(data).__name__} is not bytes")
     if len(data) > MAX_BYTES:
@@ -93,27 +99,29 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
         raise BadSnapshot("not MessagePack") from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise BadSnapshot("not a tracker's snapshot")
-    if document.get("version") not in (VERSION, PREVIOUS):
-        raise BadSnapshot(f"version {document.get('version')!r} is not {VERSION} or {PREVIOUS}")
+    if document.get("version") not in (VERSION, PREVIOUS_VERSION):
+        raise BadSnapshot(f"version {document.get('version')!r} is not {VERSION} or {PREVIOUS_VERSION}")
     try:
-        config = MFCMTConfig.from_dict((SINCE if document["version"] == PREVIOUS else {}) | document["config"])
+        config = MFCMTConfig.from_dict(
+            (PREVIOUS_CONFIG if document["version"] == PREVIOUS_VERSION else {}) | document["config"]
+        )
         width, height = (_integer(v, 1, MAX_FRAME_SIDE) for v in document["frame_size"])
         w, h = (_number(v, MIN_SIDE, 4 * MAX_FRAME_SIDE) for v in document["base_size"])
-        if document["version"] == PREVIOUS:
+        if document["version"] == PREVIOUS_VERSION:
             document["anchor"] = document["center"]
         center, anchor = (_place(document[name], (width, height)) for name in ("center", "anchor"))
         r = document["reliability"]
         reliability = {
             "history": _history(r["history"]),
-            "usual": _pair(r["usual"], -1e6, 1e6),
+            "long_term_means": _pair(r["usual"], -1e6, 1e6),
             "learned": _integer(r["learned"], 0, 1 << 62),
             "unreliable_run": _integer(r["unreliable_run"], 0, 1 << 62),
             "lost": _boolean(r["lost"]),
-            "doubtful": _boolean(r["doubtful"]),
+            "template_low": _boolean(r["doubtful"]),
         }
         scale = _number(document["scale"], 1e-6, 1e10)
-        # the first of this version had neither: every so many-th learned frame was searched, whatever it was
-        rival = document.get("rival")
+        # the first snapshots of this version had neither: the scale was searched in every N-th learned frame
+        runner_up = document.get("rival")
         waited = document.get("waited", r["learned"] % config.scale_interval)
         state = State(
             document["version"],
@@ -122,7 +130,7 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
             center,
             anchor,
             scale,
-            None if rival is None else _place(rival, (width, height)),
+            None if runner_up is None else _place(runner_up, (width, height)),
             _integer(waited, 0, 1 << 62),
             reliability,
             dict(document["arrays"]),
@@ -133,48 +141,49 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
 
 
 def restore(target: Target, state: State) -> None:
-    """Fill a target built for ``state``'s sizes. Raises BadSnapshot where an array does not fit it."""
+    """Fill a target that was built for ``state``. Raises BadSnapshot if an array does not fit its models."""
     expected = _arrays(target) if state.version == VERSION else _previous_arrays(target)
     if set(expected) != set(state.arrays):
         raise BadSnapshot(f"the arrays are not {sorted(expected)}")
     for name, array in expected.items():
         _unpack(name, state.arrays[name], array)
-    target.center, target.anchor, target.scale = state.center, state.anchor, state.scale
-    target.rival = state.rival
-    if target.sizes:
-        target.sizes.waited = state.waited
+    target.center, target.last_reliable_center = state.center, state.last_reliable_center
+    target.scale, target.runner_up = state.scale, state.runner_up
+    if target.scale_model:
+        target.scale_model.frames_since_search = state.frames_since_scale_search
     for name, value in state.reliability.items():
         setattr(target.reliability, name, value)
-    if target.sizes and state.version == PREVIOUS:
-        target.sizes.adopt(*(expected[name] for name in ("scale_waves", "scale_sums", "scale_energy")))
+    if target.scale_model and state.version == PREVIOUS_VERSION:
+        waves, sums, energy = (expected[name] for name in ("scale_waves", "scale_sums", "scale_energy"))
+        target.scale_model.load_real_waves(waves, sums, energy)
     if target.template:
         target.template.refresh()
     if target.color:
-        if not (target.color.gain > 0).all():
+        if not (target.color.decay_scale > 0).all():
             raise BadSnapshot("histograms without gain")
         target.color.refresh()
 
 
 def _arrays(target: Target) -> dict[str, npt.NDArray[Any]]:
-    """The live arrays of every model by name; what follows from others is left out."""
+    """Return the live arrays of every model by their names in a snapshot, without those that follow from others."""
     arrays: dict[str, npt.NDArray[Any]] = {}
     if t := target.template:
-        arrays["mean"] = t.mean
+        arrays["mean"] = t.numerator
         if t.average == "spectra":
             arrays["denominator"] = t.denominator
         if t.background:
             arrays |= {"background_filters": t.background.filters, "background_unmasked": t.background.unmasked}
     if c := target.color:
-        arrays |= {"histograms": c.histograms, "histogram_gain": c.gain}
-    if s := target.sizes:
-        arrays |= {"scale_mean": s.mean, "scale_energy": s.energy}
+        arrays |= {"histograms": c.histograms, "histogram_gain": c.decay_scale}
+    if s := target.scale_model:
+        arrays |= {"scale_mean": s.numerator, "scale_energy": s.energy}
     return arrays
 
 
 def _previous_arrays(target: Target) -> dict[str, npt.NDArray[Any]]:
-    """What the version before held: the scale filter as :meth:`ScaleModel.adopt` takes it."""
+    """Return arrays for the previous version: the scale filter as :meth:`ScaleModel.load_real_waves` takes it."""
     arrays = _arrays(target)
-    if target.sizes:
+    if target.scale_model:
         cells, channels, half = arrays.pop("scale_mean").shape
         lanes = -(-(half - 1) // LANES) * LANES
         arrays |= {

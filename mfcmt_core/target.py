@@ -1,4 +1,4 @@
-"""The models of one target, and what they see of a frame."""
+"""The models of one target, and the windows of a frame that they observe."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ from .scale import ScaleModel
 from .template import TemplateModel
 from .workspace import scratch
 
-GREY_TOLERANCE = 1
-"""Grey levels that the channels of a grey sequence may differ by."""
+GRAY_TOLERANCE = 1
+"""Largest difference between the channels of a gray sequence, in gray levels."""
 
 Point = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Cut:
-    """The search window and its margin at one place of one frame, and what is computed once for all its pixels.
+class Crop:
+    """A patch with its margin, prepared once for all the windows that are observed in it.
 
-    ``pixels`` are the patch's in the models' channels, ``gray`` is what features of shape look at; ``bins`` are
-    empty where there is no model of colours. ``scale`` is the target's at which it was cut.
+    ``pixels`` are the patch's in the channels of the models, ``gray`` is their gray version for the features of
+    shape, and ``bins`` are the color bins (empty without a color model). ``scale`` is the target's scale at which
+    the patch was taken.
     """
 
     patch: Patch
@@ -39,57 +40,60 @@ class Cut:
     bins: Bins
 
     def offset(self, place: Point) -> Point:
-        """Pixels of the patch (x, y) from its middle to ``place`` in the frame."""
+        """Return the pixels (x, y) of the patch from its middle to ``place`` in the frame."""
         (x, y), (sx, sy) = self.patch.center, self.patch.step
         return (place[0] - x) / sx, (place[1] - y) / sy
 
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """The search window at one place of a cut, and what the models see in it.
+    """One search window in a crop, and its features for the models.
 
-    ``moved`` is where the window lies, whole pixels of the patch (x, y) from the middle. ``spectra`` and ``bins``
-    are empty where there is no such model.
+    ``shift`` (x, y) is where the window lies: whole pixels of the patch from the middle of the crop. ``spectra`` are
+    empty without a template model, ``bins`` without a color model.
     """
 
-    cut: Cut
-    moved: tuple[int, int]
+    crop: Crop
+    shift: tuple[int, int]
     spectra: Spectra
     bins: Bins
 
     def offset(self, place: Point) -> Point:
-        """Cells (x, y) from the middle of the window to ``place`` in the frame."""
-        x, y = self.cut.offset(place)
-        return (x - self.moved[0]) / CELL, (y - self.moved[1]) / CELL
+        """Return the cells (x, y) from the middle of the window to ``place`` in the frame."""
+        x, y = self.crop.offset(place)
+        return (x - self.shift[0]) / CELL, (y - self.shift[1]) / CELL
 
     def is_central(self, place: Point) -> bool:
-        """Whether ``place`` is within a cell of the middle of the window."""
+        """Return True if ``place`` is within a cell of the middle of the window."""
         return max(map(abs, self.offset(place))) <= 1
 
-    def displaced(self, displacement: Point) -> Point:
-        """The place in the frame that lies ``displacement`` (x, y) cells from the middle of the window."""
-        (x, y), (sx, sy), (mx, my) = self.cut.patch.center, self.cut.patch.step, self.moved
-        return x + (displacement[0] * CELL + mx) * sx, y + (displacement[1] * CELL + my) * sy
+    def place_at(self, displacement: Point) -> Point:
+        """Return the place in the frame that is ``displacement`` (x, y) cells from the middle of the window."""
+        (x, y), (step_x, step_y), (shift_x, shift_y) = self.crop.patch.center, self.crop.patch.step, self.shift
+        return x + (displacement[0] * CELL + shift_x) * step_x, y + (displacement[1] * CELL + shift_y) * step_y
 
 
 class Target:
-    """The models of one target and where it is: what :meth:`MFCMT.init` builds.
+    """The models of one target and where it is: the state of a tracker.
 
-    ``anchor`` is its centre in the last reliable frame; ``rival`` a place that peaked higher in the last frame.
+    ``center`` (x, y) and ``scale`` are those of the last frame, ``last_reliable_center`` is that of the last reliable
+    one. ``runner_up`` is a place whose peak was higher than the target's in the last frame, but not high enough to
+    move there; the next frame probes it again.
     """
 
-    def __init__(self, config: MFCMTConfig, base_size: Point, grey: bool) -> None:
-        self.grey = grey
+    def __init__(self, config: MFCMTConfig, base_size: Point, is_gray: bool) -> None:
+        self.is_gray = is_gray
         self.base_size = base_size
         self.center: Point = (0.0, 0.0)
-        self.anchor: Point = (0.0, 0.0)
-        self.rival: Point | None = None
+        self.last_reliable_center: Point = (0.0, 0.0)
+        self.runner_up: Point | None = None
         self.scale = 1.0
-        self.window = SearchWindow(config, base_size)
-        cues = [c for c in config.features if not (grey and c == "color_names")]
-        self.template = TemplateModel(config, self.window, grey) if cues else None
-        self.color = ColorModel(config, self.window, grey) if config.color_histogram or not cues else None
-        self.sizes = ScaleModel(config, base_size) if config.num_scales > 1 else None
+        self.search_window = SearchWindow(config, base_size)
+        cues = [c for c in config.features if not (is_gray and c == "color_names")]
+        self.template = TemplateModel(config, self.search_window, is_gray) if cues else None
+        has_color = config.color_histogram or not cues
+        self.color = ColorModel(config, self.search_window, is_gray) if has_color else None
+        self.scale_model = ScaleModel(config, base_size) if config.num_scales > 1 else None
         self.reliability = Reliability(config)
         self.learn_within = config.learn_within
         self.largest_step = config.scale_step * (1 + 1e-6)  # rounding
@@ -99,80 +103,86 @@ class Target:
         if self.color:
             self.map_weights[-1] = config.statistical_weight if cues else 1
 
-    def observe(self, frame: Frame, within: Rect, place: Point, cut: Cut | None = None) -> Observation:
-        """Lines 2–4 of Algorithm 1: the window around ``place``, from ``cut`` where that shows it well or anew."""
-        margin = self.window.margin
-        if cut is None or not self._shows(cut, place):
-            cut = self._cut(frame, within, place)
-        x, y = (min(max(round(pixels), -margin), margin) for pixels in cut.offset(place))
-        size = self.window.patch_size
+    def observe(self, frame: Frame, readable: Rect, place: Point, crop: Crop | None = None) -> Observation:
+        """Return the window around ``place`` with its features (lines 2–4 of Algorithm 1).
+
+        The window is taken from ``crop`` if that covers it, otherwise from a new crop around ``place``. Pixels
+        outside ``readable`` are not read.
+        """
+        margin = self.search_window.margin
+        if crop is None or not self._covers(crop, place):
+            crop = self._crop(frame, readable, place)
+        x, y = (min(max(round(pixels), -margin), margin) for pixels in crop.offset(place))
+        size = self.search_window.patch_size
         part = (slice(y + margin, y + margin + size), slice(x + margin, x + margin + size))
-        pixels = np.ascontiguousarray(cut.pixels[part])
-        gray = pixels if self.grey else np.ascontiguousarray(cut.gray[part])
+        pixels = np.ascontiguousarray(crop.pixels[part])
+        gray = pixels if self.is_gray else np.ascontiguousarray(crop.gray[part])
         return Observation(
-            cut,
+            crop,
             (x, y),
             self.template.spectra(pixels, gray) if self.template else np.empty(0, np.complex64),
-            np.ascontiguousarray(cut.bins[part]) if self.color else cut.bins,
+            np.ascontiguousarray(crop.bins[part]) if self.color else crop.bins,
         )
 
-    def _cut(self, frame: Frame, within: Rect, place: Point) -> Cut:
-        patch = self.window.crop(frame, within, place, self.scale)
-        pixels = as_mode(patch.pixels, self.grey)
-        gray = pixels if self.grey else as_mode(pixels, grey=True)
-        return Cut(patch, self.scale, pixels, gray, self.color.bins(pixels) if self.color else np.empty(0, np.uint16))
+    def _crop(self, frame: Frame, readable: Rect, place: Point) -> Crop:
+        patch = self.search_window.crop(frame, readable, place, self.scale)
+        pixels = convert_channels(patch.pixels, self.is_gray)
+        gray = pixels if self.is_gray else convert_channels(pixels, to_gray=True)
+        return Crop(patch, self.scale, pixels, gray, self.color.bins(pixels) if self.color else np.empty(0, np.uint16))
 
-    def _shows(self, cut: Cut, place: Point) -> bool:
-        """Whether the window around ``place`` may be taken from ``cut``; without a margin only if it is the cut."""
+    def _covers(self, crop: Crop, place: Point) -> bool:
+        """Return True if ``crop`` covers the window at ``place``. Without a margin it must be the very same window."""
         if not self.learn_within:
-            return self.window.rect(place, self.scale) == cut.patch.rect
-        return self._is_alike(cut.scale) and max(map(abs, cut.offset(place))) <= self.window.margin
+            return self.search_window.rect(place, self.scale) == crop.patch.rect
+        return self._is_near_scale(crop.scale) and max(map(abs, crop.offset(place))) <= self.search_window.margin
 
-    def is_near(self, seen: Observation) -> bool:
-        """Whether the models may learn from ``seen``, which was cut where the target was looked for."""
+    def can_learn_from(self, observation: Observation) -> bool:
+        """Return True if ``observation`` is near enough to the target's center and scale for the models to learn it."""
         if not self.learn_within:
-            return self._shows(seen.cut, self.center)
-        return self._is_alike(seen.cut.scale) and max(map(abs, seen.offset(self.center))) <= self.learn_within
+            return self._covers(observation.crop, self.center)
+        near_scale = self._is_near_scale(observation.crop.scale)
+        return near_scale and max(map(abs, observation.offset(self.center))) <= self.learn_within
 
-    def would_see_again(self, seen: Observation, cut: Cut) -> bool:
-        """Whether :meth:`observe` at the centre, from ``cut`` or anew, is sure to give ``seen``."""
-        return self.is_near(seen) and (seen.cut is cut or seen.cut.scale == self.scale)
+    def can_reuse(self, observation: Observation, crop: Crop) -> bool:
+        """Return True if :meth:`observe` at the target's center, from ``crop`` or anew, would give ``observation``."""
+        return self.can_learn_from(observation) and (observation.crop is crop or observation.crop.scale == self.scale)
 
-    def _is_alike(self, scale: float) -> bool:
-        """Whether the present scale is at most one step from ``scale``."""
+    def _is_near_scale(self, scale: float) -> bool:
+        """Return True if the target's scale is at most one step from ``scale``."""
         return 1 / self.largest_step <= self.scale / scale <= self.largest_step
 
-    def learn(self, seen: Observation, first: bool = False) -> None:
-        """Line 11 of Algorithm 1, on an observation near the target."""
-        offset = seen.offset(self.center) if self.learn_within else (0.0, 0.0)
+    def learn(self, observation: Observation, first: bool = False) -> None:
+        """Update the template and the color model from a window near the target (line 11 of Algorithm 1)."""
+        offset = observation.offset(self.center) if self.learn_within else (0.0, 0.0)
         if self.template:
-            self.template.learn(seen.spectra, offset, None if first else self.reliability.learned)
+            self.template.learn(observation.spectra, offset, None if first else self.reliability.learned)
         if self.color:
-            self.color.learn(seen.bins, offset, first)
+            self.color.learn(observation.bins, offset, first)
 
     def maps(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """Scratch for the single maps (maps, rows, columns) and the fused one (rows, columns)."""
-        shape = (2 * self.window.reach[1] + 1, 2 * self.window.reach[0] + 1)
+        """Return the scratch arrays of the single maps (maps, rows, columns) and of the fused one (rows, columns)."""
+        reach_x, reach_y = self.search_window.reach
+        shape = (2 * reach_y + 1, 2 * reach_x + 1)
         return scratch("responses", (len(self.map_names), *shape)), scratch("fused", shape)
 
     @property
     def box(self) -> Box:
-        """The box at the present centre and scale."""
+        """The box (x, y, w, h) at the present center and scale."""
         w, h = self.base_size[0] * self.scale, self.base_size[1] * self.scale
         return self.center[0] - w / 2, self.center[1] - h / 2, w, h
 
 
-def is_grey(pixels: Image) -> bool:
-    """Whether the channels differ by no more than rounding."""
+def is_gray(pixels: Image) -> bool:
+    """Return True if the image has one channel, or three that differ by no more than rounding."""
     if pixels.ndim == 2:
         return True
     blue, green, red = cv2.split(pixels)
     worst = max(int(cv2.absdiff(blue, green).max()), int(cv2.absdiff(green, red).max()))
-    return worst <= GREY_TOLERANCE
+    return worst <= GRAY_TOLERANCE
 
 
-def as_mode(pixels: Image, grey: bool) -> Image:
-    """The pixels in the channels that the target's models expect."""
-    if grey == (pixels.ndim == 2):
+def convert_channels(pixels: Image, to_gray: bool) -> Image:
+    """Return the pixels as gray (H, W) or BGR (H, W, 3); the array itself if it is so already."""
+    if to_gray == (pixels.ndim == 2):
         return pixels
-    return cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY if grey else cv2.COLOR_GRAY2BGR)  # type: ignore[return-value]
+    return cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY if to_gray else cv2.COLOR_GRAY2BGR)  # type: ignore[return-value]

@@ -1,4 +1,4 @@
-"""MFCMT: Algorithm 1 of the paper."""
+"""The tracker: Algorithm 1 of the paper, one frame after another."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import attrgetter
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -15,23 +16,25 @@ from .config import MFCMTConfig
 from .errors import BadConfig, BadImage, BadSnapshot, NotInitialised
 from .fusion import fuse
 from .geometry import Frame, Image, Rect, SearchWindow, check_box, clip_rect, grow_rect
-from .redetection import other_peak, propose
+from .redetection import propose, second_peak
 from .reliability import Peaks, Verdict
 from .result import TrackResult
-from .target import Cut, Observation, Point, Target, is_grey
+from .target import Crop, Observation, Point, Target, is_gray
 
-ATTENTION = 1.25
-"""What a frame is looked at for: the search window times this. It leaves the target room to move by an eighth
-of the window and still be learned with all of its surroundings; further out the border repeats."""
-WIDE_ATTENTION = 2.0
-"""The same where the last frame left doubts: the windows on all four sides, too."""
-MOTION_ROOM = 0.5
-"""Of the target's side, on each side of the region: how far it may move in one frame in flight."""
+REGION_FACTOR = 1.25
+"""Size of the region that is read from each frame, as a multiple of the search window.
+
+The target may move by an eighth of the window and still be learned with all of its surroundings. Where it moves
+further, the border pixels of the region are repeated."""
+WIDE_REGION_FACTOR = 2.0
+"""The same after a frame with a low template peak: this region holds the neighboring windows on all four sides."""
+MOTION_MARGIN = 0.5
+"""Margin that :meth:`MFCMT.region` adds on each side per frame in flight, as a fraction of the target's side."""
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
-    """Where a search ended: centre in the frame, the peaks of its maps, peak-to-sidelobe ratio."""
+class Detection:
+    """Where a fused map peaks: ``center`` (x, y) in the frame, the peaks of the maps, the peak-to-sidelobe ratio."""
 
     center: Point
     peaks: Peaks
@@ -39,27 +42,55 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
-    """What the window around one place showed and where its maps peak; ``closer`` is the window there, if seen."""
+class Candidate:
+    """A probed place: the window observed there and what was detected in it.
 
-    seen: Observation
-    found: Found
-    closer: Observation | None = None
+    ``recentered`` is the window around the detection, if that was observed too.
+    """
+
+    observation: Observation
+    detection: Detection
+    recentered: Observation | None = None
+
+    @property
+    def peaks(self) -> Peaks:
+        """The peaks of the detection."""
+        return self.detection.peaks
 
     @property
     def strength(self) -> tuple[float, float]:
-        return self.found.peaks.strength
+        """The key by which candidates are compared; see :attr:`Peaks.strength`."""
+        return self.peaks.strength
+
+
+class Probe(Protocol):
+    """A function that probes one place of the current frame; see :meth:`MFCMT._probe`."""
+
+    def __call__(self, place: Point, crop: Crop | None = None) -> Candidate: ...
 
 
 class MFCMT:
-    """Single-target tracker.
+    """Track one target through a sequence of frames.
 
-    Images are ``uint8``, BGR (H, W, 3) or grey (H, W), of any strides; boxes ``(x, y, w, h)``, floats,
-    0-based. A call that raises has changed nothing. Not for use by two threads at once.
+    An instance must not be used by two threads at once. A call that raises leaves the tracker unchanged.
 
+    Parameters
+    ----------
+    config : MFCMTConfig, optional
+        The parameters; :meth:`MFCMTConfig.default` if omitted.
+
+    References
+    ----------
+    PAPERREF
+
+    Examples
+    --------
+    >>> from mfcmt_core import MFCMT, synthetic
+    >>> clip = synthetic.clip("motion", length=3)
     >>> tracker = MFCMT()
-    >>> tracker.init(first_frame, (10, 20, 30, 40))  # doctest: +SKIP
-    >>> tracker.update(next_frame).box  # doctest: +SKIP
+    >>> first = tracker.init(clip.frames[0], clip.boxes[0])
+    >>> [tracker.update(frame).status for frame in clip.frames[1:]]
+    ['tracking', 'tracking']
     """
 
     def __init__(self, config: MFCMTConfig | None = None) -> None:
@@ -75,24 +106,45 @@ class MFCMT:
         offset: tuple[int, int] = (0, 0),
         frame_size: tuple[int, int] | None = None,
     ) -> TrackResult:
-        """Start on ``box``, or start again on it: to correct a running tracker, call this.
+        """Start to track the target in ``box``. To correct a running tracker, call this again.
 
-        ``image`` may be a cut of the frame: ``offset`` is the frame's (x, y) of its first pixel and
-        ``frame_size`` the whole frame's (w, h); the box counts in the whole frame all the same.
-        Raises BadImage, BadBox, RegionTooSmall.
+        Parameters
+        ----------
+        image : ndarray of uint8, shape (H, W, 3) or (H, W)
+            The first frame, BGR or gray, with any strides; or a region of it (see ``offset``).
+        box : iterable of four floats
+            The target's ``(x, y, w, h)`` in pixels of the whole frame, 0-based. Each side is one pixel at least, and
+            a quarter of the box lies in the frame.
+        offset : (int, int), optional
+            Position (x, y) in the frame of the first pixel of ``image``, if that is a region of the frame.
+        frame_size : (int, int), optional
+            Size (w, h) of the whole frame; by default that of ``image``.
+
+        Returns
+        -------
+        TrackResult
+            The given box, with status ``"tracking"`` and no flags, scores or ``psr``.
+
+        Raises
+        ------
+        BadImage
+            If the image has another dtype or shape, or does not lie in the frame.
+        BadBox
+            If the box is not four finite numbers, is too small, or lies mostly outside the frame.
+        RegionTooSmall
+            If the image does not show all that the tracker reads; the exception says what that is.
         """
         frame = Frame.of(image, offset, frame_size)
         x, y, w, h = check_box(box, frame.size)
         center = (min(max(x + w / 2, 0.0), frame.size[0]), min(max(y + h / 2, 0.0), frame.size[1]))
         window = SearchWindow(self.config, (w, h))
-        within = clip_rect(window.rect(center, 1.0, ATTENTION), frame.size)
-        frame.require(within)
-        grey = is_grey(window.crop(frame, within, center, 1.0).pixels)
-        target = Target(self.config, (w, h), grey)
-        target.center = target.anchor = center
-        target.learn(target.observe(frame, within, center), first=True)
-        if target.sizes:
-            target.sizes.learn(target.sizes.spectra(frame, within, center, 1.0), first=True)
+        readable = clip_rect(window.rect(center, 1.0, REGION_FACTOR), frame.size)
+        frame.require(readable)
+        target = Target(self.config, (w, h), is_gray(window.crop(frame, readable, center, 1.0).pixels))
+        target.center = target.last_reliable_center = center
+        target.learn(target.observe(frame, readable, center), first=True)
+        if model := target.scale_model:
+            model.learn(model.spectra(frame, readable, center, 1.0), first=True)
         self._target, self._frame_size = target, frame.size
         return TrackResult((x, y, w, h), "tracking", None, None, None, None, True, 1.0)
 
@@ -104,78 +156,166 @@ class MFCMT:
         frame_size: tuple[int, int] | None = None,
         maps: bool = False,
     ) -> TrackResult:
-        """Find the target in the next frame; ``image`` may be a cut that covers :meth:`needed_region`.
+        """Find the target in the next frame, and learn from the frame if it is reliable.
 
-        Raises NotInitialised, BadImage (also for another frame size than the first), RegionTooSmall.
+        Parameters
+        ----------
+        image : ndarray of uint8, shape (H, W, 3) or (H, W)
+            The next frame, or a region of it that covers :meth:`needed_region`.
+        offset : (int, int), optional
+            Position (x, y) in the frame of the first pixel of ``image``.
+        frame_size : (int, int), optional
+            Size (w, h) of the whole frame; by default that of ``image``. It must be that of the first frame.
+        maps : bool, optional
+            Return copies of the response maps in :attr:`TrackResult.maps`. This takes about half an update more.
+
+        Returns
+        -------
+        TrackResult
+            The target's box in the whole frame and how far to trust it.
+
+        Raises
+        ------
+        NotInitialised
+            If :meth:`init` was not called.
+        BadImage
+            If the image has another dtype or shape, does not lie in the frame, or the frame has another size.
+        RegionTooSmall
+            If the image does not cover :meth:`needed_region`.
         """
         target = self._require_target()
         frame = Frame.of(image, offset, frame_size)
         if frame.size != self._frame_size:
             raise BadImage(f"the frame is {frame.size}, the first one was {self._frame_size}")
-        within = self.needed_region()
-        frame.require(within)
+        readable = self.needed_region()
+        frame.require(readable)
 
-        look = self._search(target, frame, within)
-        seen, found = look.seen, look.found
-        kept = self._copy_maps(target, frame, seen) if maps else None
-        verdict = target.reliability.judge(found.peaks)
+        candidate = self._search(target, frame, readable)
+        map_copies = self._copy_maps(target, frame, candidate.observation) if maps else None
+        verdict = target.reliability.judge(candidate.peaks)
         if verdict.status == "lost":
-            target.center = target.anchor  # since then there were only noise peaks to follow
+            target.center = target.last_reliable_center  # whatever peaked since then was noise
         else:
-            target.center = found.center
-            self._resize(target, frame, within, verdict)
+            target.center = candidate.detection.center
+            self._update_scale(target, frame, readable, verdict)
         if verdict.reliable:
-            target.anchor = target.center
-            if not target.is_near(seen):
-                closer = look.closer
-                if closer is None or not target.would_see_again(closer, seen.cut):
-                    closer = target.observe(frame, within, target.center, seen.cut)
-                seen = closer
-            target.learn(seen)
-            target.reliability.learned_from(found.peaks)
+            target.last_reliable_center = target.center
+            self._learn(target, frame, readable, candidate)
         return TrackResult(
             box=target.box,
             status=verdict.status,
             reliable=verdict.reliable,
             flags=verdict.flags,
             scores=verdict.scores,
-            psr=found.psr,
+            psr=candidate.detection.psr,
             updated=verdict.reliable,
             scale=target.scale,
-            maps=kept,
+            maps=map_copies,
         )
 
     def track(self, frames: Iterable[Image], box: Iterable[float]) -> Iterator[TrackResult]:
-        """Start on the first of ``frames`` and yield one result a frame, the first included."""
+        """Track the target in ``box`` through ``frames``.
+
+        Parameters
+        ----------
+        frames : iterable of ndarray
+            Whole frames as :meth:`update` takes them. A frame is read when its result is asked for.
+        box : iterable of four floats
+            The target in the first frame, as :meth:`init` takes it.
+
+        Yields
+        ------
+        TrackResult
+            One result per frame, the first included.
+
+        Raises
+        ------
+        BadImage, BadBox
+            As :meth:`init` and :meth:`update` do.
+        """
         for index, image in enumerate(frames):
             yield self.update(image) if index else self.init(image, box)
 
     def needed_region(self) -> Rect:
-        """The part of the next frame that decides the result, (x, y, w, h): pixels outside it change no bit."""
+        """Return the part of the next frame that decides the result. Pixels outside it change no bit of it.
+
+        Returns
+        -------
+        (int, int, int, int)
+            ``(x, y, w, h)`` in pixels of the frame; the whole frame while the target is lost.
+
+        Raises
+        ------
+        NotInitialised
+            If :meth:`init` was not called.
+        """
         target = self._require_target()
         if target.reliability.lost:
             return (0, 0, *self._frame_size)
-        attention = WIDE_ATTENTION if target.reliability.doubtful else ATTENTION
-        return clip_rect(target.window.rect(target.center, target.scale, attention), self._frame_size)
+        factor = WIDE_REGION_FACTOR if target.reliability.template_low else REGION_FACTOR
+        return clip_rect(target.search_window.rect(target.center, target.scale, factor), self._frame_size)
 
     def region(self, lag: int = 1) -> Rect:
-        """:meth:`needed_region` with room for the target to move during ``lag`` frames in flight."""
+        """Return :meth:`needed_region` with a margin for the motion of frames whose results are not known yet.
+
+        Parameters
+        ----------
+        lag : int, optional
+            Number of frames in flight. Each adds half of the target's side on each side of the region.
+
+        Returns
+        -------
+        (int, int, int, int)
+            ``(x, y, w, h)`` in pixels of the frame.
+
+        Raises
+        ------
+        NotInitialised
+            If :meth:`init` was not called.
+        """
         needed = self.needed_region()
         _, _, w, h = self._require_target().box
-        return clip_rect(grow_rect(needed, lag * MOTION_ROOM * w, lag * MOTION_ROOM * h), self._frame_size)
+        return clip_rect(grow_rect(needed, lag * MOTION_MARGIN * w, lag * MOTION_MARGIN * h), self._frame_size)
 
     def to_bytes(self) -> bytes:
-        """The whole state, versioned: MessagePack with raw little-endian arrays. Raises NotInitialised."""
+        """Return the whole state as a snapshot, which :meth:`from_bytes` reads.
+
+        Returns
+        -------
+        bytes
+            A versioned MessagePack document with raw little-endian arrays; well below 1 MB with the default preset.
+
+        Raises
+        ------
+        NotInitialised
+            If :meth:`init` was not called.
+        """
         return snapshot.dump(self.config, self._require_target(), self._frame_size)
 
     @classmethod
     def from_bytes(cls, data: bytes) -> MFCMT:
-        """The tracker that :meth:`to_bytes` wrote; its every later result is bit-equal. Raises BadSnapshot."""
+        """Return the tracker that a snapshot holds. All its later results are equal to the last bit.
+
+        Parameters
+        ----------
+        data : bytes
+            What :meth:`to_bytes` returned, of this version of the format or the one before.
+
+        Returns
+        -------
+        MFCMT
+            A new tracker with the snapshot's configuration.
+
+        Raises
+        ------
+        BadSnapshot
+            If the bytes are no snapshot, are of another version, or hold values that no tracker has.
+        """
         config, state, frame_size = snapshot.parse(data)
         tracker = cls(config)
         try:
-            target = Target(config, state.base_size, state.grey)
-        except BadConfig as error:  # the colour-name table is a file
+            target = Target(config, state.base_size, state.is_gray)
+        except BadConfig as error:  # the color-name table is a file that may be missing here
             raise BadSnapshot(str(error)) from error
         snapshot.restore(target, state)
         tracker._target, tracker._frame_size = target, frame_size
@@ -186,95 +326,126 @@ class MFCMT:
             raise NotInitialised("call init first")
         return self._target
 
-    def _search(self, target: Target, frame: Frame, within: Rect) -> Look:
-        """Where the fused map peaks: around the last place, and elsewhere while the target may not be there."""
-        look = partial(self._look, target, frame, within)
-        first = look(target.center)
-        rival, target.rival = target.rival, None
-        if target.reliability.lost:
-            best = first
-            if target.color:
-                proposed = look(propose(target.color, frame, target.base_size, target.scale))
-                best = max(first, proposed, key=attrgetter("strength"))
-            return look(best.found.center)  # a second look from there: the surroundings at their place, too
-        was_doubtful, target.reliability.doubtful = target.reliability.doubtful, False
-        if not target.reliability.doubts(first.found.peaks):
-            return first
-        if not was_doubtful:
-            peak = other_peak(target.maps()[1], target.window.target)
-            rival = first.seen.displaced(peak) if peak else None
-        elif rival is None:
-            rival = self._aside(target)
-        centred = first
-        if not first.seen.is_central(first.found.center):  # off the middle of the window a target's peak is lower
-            centred = look(first.found.center, first.seen.cut)
-            first = replace(first, closer=centred.seen)
-            if not target.reliability.doubts(centred.found.peaks):
-                return first
-        target.reliability.doubtful = True
-        if rival is None or not frame.contains(rival):
-            return first
-        other = look(rival)
-        if other.found.peaks.template > self.config.doubt_margin * centred.found.peaks.template:
+    def _search(self, target: Target, frame: Frame, readable: Rect) -> Candidate:
+        """Return the candidate that gives this frame's result (lines 2–7 of Algorithm 1).
+
+        The last place is probed first. Further places are probed only if the target is lost or its template peak is
+        low: the middle of the found peak, then one other place. :attr:`Target.runner_up` and
+        ``reliability.template_low`` carry over to the next frame.
+        """
+        reliability = target.reliability
+        probe = partial(self._probe, target, frame, readable)
+        runner_up, target.runner_up = target.runner_up, None
+        here = probe(target.center)
+        if reliability.lost:
+            return self._redetect(probe, target, frame, here)
+        was_low, reliability.template_low = reliability.template_low, False
+        if not reliability.is_template_low(here.peaks):
+            return here
+        other_place = self._other_place(target, here.observation, was_low, runner_up)
+        centered = here
+        if not here.observation.is_central(here.detection.center):  # a peak is lower off the middle of the window
+            centered = probe(here.detection.center, here.observation.crop)
+            here = replace(here, recentered=centered.observation)
+            if not reliability.is_template_low(centered.peaks):
+                return here
+        reliability.template_low = True
+        if other_place is None or not frame.contains(other_place):
+            return here
+        other = probe(other_place)
+        if other.peaks.template > self.config.doubt_margin * centered.peaks.template:
             return other
-        if other.strength > centred.strength:  # and higher still where it is central: in the next frame
-            target.rival = other.found.center
-        return first
+        if other.strength > centered.strength:  # probe it again in the next frame, where its peak is in the middle
+            target.runner_up = other.detection.center
+        return here
 
-    def _aside(self, target: Target) -> Point:
-        """The place half a window aside: one side a frame, in turn, to keep each one short."""
+    def _redetect(self, probe: Probe, target: Target, frame: Frame, here: Candidate) -> Candidate:
+        """Search the whole frame by color, and return the better of the place found and the last place.
+
+        The better place is probed twice, so that the second window has its surroundings in the middle.
+        """
+        best = here
+        if target.color:
+            proposed = probe(propose(target.color, frame, target.base_size, target.scale))
+            best = max(here, proposed, key=attrgetter("strength"))
+        return probe(best.detection.center)
+
+    def _other_place(
+        self, target: Target, observation: Observation, was_low: bool, runner_up: Point | None
+    ) -> Point | None:
+        """Return the one other place to probe in a frame with a low template peak.
+
+        In the first such frame that is the second peak of the fused map, if there is one. Afterwards it is the
+        runner-up of the last frame, or else a neighboring window: one side per frame, to keep each frame short.
+        """
+        if not was_low:
+            peak = second_peak(target.maps()[1], target.search_window.target)
+            return observation.place_at(peak) if peak else None
+        if runner_up is not None:
+            return runner_up
         side = (target.reliability.learned + target.reliability.unreliable_run) % 4
-        return target.window.neighbour(target.center, target.scale, side)
+        return target.search_window.neighbor(target.center, target.scale, side)
 
-    def _look(self, target: Target, frame: Frame, within: Rect, place: Point, cut: Cut | None = None) -> Look:
-        """What the window around ``place`` shows and where its fused map peaks."""
-        seen = target.observe(frame, within, place, cut)
-        return Look(seen, self._detect(target, frame, seen))
+    def _probe(self, target: Target, frame: Frame, readable: Rect, place: Point, crop: Crop | None = None) -> Candidate:
+        """Observe the window around ``place`` and detect the target in it."""
+        observation = target.observe(frame, readable, place, crop)
+        return Candidate(observation, self._detect(target, frame, observation))
 
-    def _detect(self, target: Target, frame: Frame, seen: Observation) -> Found:
-        """Lines 5–7 of Algorithm 1: respond, fuse, take the peak."""
+    def _detect(self, target: Target, frame: Frame, observation: Observation) -> Detection:
+        """Compute the responses, fuse them and find the peak (lines 5–7 of Algorithm 1)."""
         responses, fused = target.maps()
         models = 0
         if target.template:
             models = len(target.template.blocks)
-            target.template.respond(seen.spectra, responses[: len(target.template.names)])
+            target.template.respond(observation.spectra, responses[: len(target.template.names)])
         if target.color:
-            target.color.respond(seen.bins, responses[-1])
+            target.color.respond(observation.bins, responses[-1])
         peak = fuse(responses, target.map_weights, self.config, fused)
         template = sum(peak.tops[:models]) / models if models else 1.0
         statistical = peak.tops[-1] if target.color else 1.0
-        x, y = seen.displaced(peak.displacement)
+        x, y = observation.place_at(peak.displacement)
         center = (min(max(x, 0.0), float(frame.size[0])), min(max(y, 0.0), float(frame.size[1])))
-        return Found(center, Peaks(peak.height, template, statistical), peak.psr)
+        return Detection(center, Peaks(peak.height, template, statistical), peak.psr)
 
-    def _resize(self, target: Target, frame: Frame, within: Rect, verdict: Verdict) -> None:
-        """Lines 8 and 10 of Algorithm 1: find the scale, and learn it where the frame is reliable."""
-        sizes = target.sizes
-        if sizes is None or not (verdict.reliable or not self.config.scale_when_reliable):
+    def _update_scale(self, target: Target, frame: Frame, readable: Rect, verdict: Verdict) -> None:
+        """Find the target's scale, and learn it if the frame is reliable (lines 8 and 10 of Algorithm 1)."""
+        model = target.scale_model
+        if model is None or not (verdict.reliable or not self.config.scale_when_reliable):
             return
-        if verdict.reliable and not sizes.takes_turn(busy=target.reliability.doubtful):
+        if verdict.reliable and not model.advance(busy=target.reliability.template_low):
             return
-        spectra = sizes.spectra(frame, within, target.center, target.scale)
-        scale = sizes.clamp(target.scale * sizes.estimate(spectra), frame.size)
+        spectra = model.spectra(frame, readable, target.center, target.scale)
+        scale = model.clamp(target.scale * model.estimate(spectra), frame.size)
         if verdict.reliable:
             growth = scale / target.scale
             if growth != 1 and not self.config.learn_within:
-                spectra, growth = sizes.spectra(frame, within, target.center, scale), 1.0
-            sizes.learn(spectra, growth)
+                spectra, growth = model.spectra(frame, readable, target.center, scale), 1.0
+            model.learn(spectra, growth)
         target.scale = scale
 
-    def _copy_maps(self, target: Target, frame: Frame, seen: Observation) -> dict[str, npt.NDArray[np.float32]]:
-        """The probability maps by name, of a joint filter also the part of each cue.
+    def _learn(self, target: Target, frame: Frame, readable: Rect, candidate: Candidate) -> None:
+        """Learn template and colors at the target's center, from a window that was observed already if one fits."""
+        observation = candidate.observation
+        if not target.can_learn_from(observation):
+            recentered = candidate.recentered
+            if recentered is None or not target.can_reuse(recentered, observation.crop):
+                recentered = target.observe(frame, readable, target.center, observation.crop)
+            observation = recentered
+        target.learn(observation)
+        target.reliability.record_learned(candidate.peaks)
 
-        They are computed again, for the search may have looked elsewhere since.
+    def _copy_maps(self, target: Target, frame: Frame, observation: Observation) -> dict[str, npt.NDArray[np.float32]]:
+        """Return copies of the probability maps by name, and of a joint filter also the part of each cue.
+
+        The maps are computed again, for the search may have probed another place since.
         """
-        self._detect(target, frame, seen)
+        self._detect(target, frame, observation)
         responses, fused = target.maps()
-        kept = {"fused": fused.copy()}
-        kept |= {name: np.array(r) for name, r in zip(target.map_names, responses, strict=True)}
+        copies = {"fused": fused.copy()}
+        copies |= {name: np.array(r) for name, r in zip(target.map_names, responses, strict=True)}
         if target.template and self.config.joint_filter:
-            parts = target.template.respond_by_cue(seen.spectra)
+            parts = target.template.respond_by_cue(observation.spectra)
             for name, part in parts.items():
                 fuse(part[None], np.ones(1, np.float32), self.config, np.empty_like(part))
-                kept[name] = part
-        return kept
+                copies[name] = part
+        return copies

@@ -12,7 +12,7 @@ from ..result import TrackResult
 
 Image = npt.NDArray[np.uint8]
 
-COLOURS = {"tracking": (96, 200, 64), "uncertain": (32, 176, 250), "lost": (64, 64, 235)}
+COLORS = {"tracking": (96, 200, 64), "uncertain": (32, 176, 250), "lost": (64, 64, 235)}
 INK, PAPER, FAINT = (225, 225, 225), (28, 26, 24), (88, 84, 80)
 ROW, LABEL, TOP = 28, 150, 1.6  # px of a score's row and of its label; the score at a row's upper edge
 NAMES = ("fused", "template", "statistical")
@@ -38,14 +38,14 @@ class Overlay:
 
     @staticmethod
     def _box(image: Image, result: TrackResult) -> None:
-        colour = COLOURS[result.status]
+        color = COLORS[result.status]
         x, y, w, h = result.box
         near, far = (round(x * 16), round(y * 16)), (round((x + w - 1) * 16), round((y + h - 1) * 16))
-        cv2.rectangle(image, near, far, colour, 2, cv2.LINE_AA, shift=4)
+        cv2.rectangle(image, near, far, color, 2, cv2.LINE_AA, shift=4)
         (tw, th), _ = cv2.getTextSize(result.status, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)
         left = int(np.clip(x, 0, max(0, image.shape[1] - tw - 8)))
         base = int(np.clip(y - 6, th + 6, image.shape[0] - 6))
-        cv2.rectangle(image, (left, base - th - 5), (left + tw + 7, base + 4), colour, -1)
+        cv2.rectangle(image, (left, base - th - 5), (left + tw + 7, base + 4), color, -1)
         cv2.putText(image, result.status, (left + 4, base), cv2.FONT_HERSHEY_SIMPLEX, 0.5, PAPER, 1, cv2.LINE_AA)
 
     def _row(self, row: Image, name: str, threshold: float) -> None:
@@ -57,8 +57,8 @@ class Overlay:
             if result.scores and result.flags:
                 score = getattr(result.scores, name)
                 high = round(min(max(score, 0.0), TOP) / TOP * (ROW - 4))
-                colour = COLOURS["tracking" if getattr(result.flags, name) else "lost"]
-                row[ROW - 2 - high : ROW - 2, LABEL + 2 * k : LABEL + 2 * k + 2] = colour
+                color = COLORS["tracking" if getattr(result.flags, name) else "lost"]
+                row[ROW - 2 - high : ROW - 2, LABEL + 2 * k : LABEL + 2 * k + 2] = color
                 now = f"{score:.2f}"
         row[ROW - 2 - round(threshold / TOP * (ROW - 4)), LABEL : width - 4 : 2] = INK
         for text, at in ((name, 6), (now, LABEL - 44)):

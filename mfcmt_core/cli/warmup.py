@@ -69,8 +69,8 @@ def dispatchers() -> Iterator[Dispatcher]:
 def exercise() -> None:
     """Have a tracker do everything it can: every preset, colour and grey, learning, lost, restored; mend a JPEG."""
     mend(simplejpeg.encode_jpeg(np.zeros((8, 8, 3), np.uint8)))
-    for grey in (False, True):
-        clip = synthetic.clip("motion", size=(96, 72), target=(18, 14), length=4, grey=grey)
+    for gray in (False, True):
+        clip = synthetic.clip("motion", size=(96, 72), target=(18, 14), length=4, gray=gray)
         frames = list(clip.frames)
         for preset in PRESETS:
             for changes in (ALWAYS, NEVER):

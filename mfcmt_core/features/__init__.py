@@ -20,8 +20,8 @@ CUES = ("gray", "fhog", "color_names")
 
 def hann_window(cells: int) -> npt.NDArray[np.float32]:
     """Separable cosine window (cells, cells) without a border of zeros."""
-    window = np.hanning(cells + 2)[1:-1]
-    return np.outer(window, window).astype(np.float32)
+    hann = np.hanning(cells + 2)[1:-1]
+    return np.outer(hann, hann).astype(np.float32)
 
 
 class FeatureStack:
@@ -30,13 +30,13 @@ class FeatureStack:
     Colour names say nothing about a grey sequence and are left out there, as the field does.
     """
 
-    def __init__(self, config: MFCMTConfig, grey: bool) -> None:
+    def __init__(self, config: MFCMTConfig, is_gray: bool) -> None:
         self.cells = config.patch_size // CELL
-        self.window = hann_window(self.cells)
+        self.hann = hann_window(self.cells)
         self.epsilon = np.float32(config.hog_epsilon)
         self.blocks: dict[str, slice] = {}
         widths = {"gray": 1, "fhog": CHANNELS, "color_names": 0}
-        if not grey and "color_names" in config.features:
+        if not is_gray and "color_names" in config.features:
             self.names = table(config.color_name_table)
             widths["color_names"] = self.names.shape[1]
         start = 0
@@ -59,11 +59,11 @@ class FeatureStack:
             )
         out = scratch("features", (n, self.channels, n))
         if block := self.blocks.get("gray"):
-            gray_cells(gray, self.window, block.start, out)
+            gray_cells(gray, self.hann, block.start, out)
         if block := self.blocks.get("fhog"):
             hog_cells(
                 gray,
-                self.window,
+                self.hann,
                 self.epsilon,
                 block.start,
                 scratch("magnitude", (side, side)),
@@ -74,5 +74,5 @@ class FeatureStack:
                 out,
             )
         if block := self.blocks.get("color_names"):
-            color_name_cells(patch, self.names, self.window, block.start, out)
+            color_name_cells(patch, self.names, self.hann, block.start, out)
         return out

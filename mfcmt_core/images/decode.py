@@ -75,8 +75,8 @@ def _jpeg(data: bytes, info: FrameInfo) -> Image:
 def _turbo(data: bytes, info: FrameInfo) -> Image:
     if info.cmyk:
         return _cmyk(data)
-    image: Image = simplejpeg.decode_jpeg(data, "GRAY" if info.grey else "BGR")
-    return image.reshape(image.shape[:2]) if info.grey else image
+    image: Image = simplejpeg.decode_jpeg(data, "GRAY" if info.gray else "BGR")
+    return image.reshape(image.shape[:2]) if info.gray else image
 
 
 def _cmyk(data: bytes) -> Image:
@@ -94,7 +94,7 @@ def _png(data: bytes, info: FrameInfo) -> Image:
 
 
 def _stored(data: bytes, info: FrameInfo) -> Image:
-    mode = cv2.IMREAD_GRAYSCALE if info.grey else cv2.IMREAD_COLOR
+    mode = cv2.IMREAD_GRAYSCALE if info.gray else cv2.IMREAD_COLOR
     return _opencv(data, mode | cv2.IMREAD_IGNORE_ORIENTATION)
 
 

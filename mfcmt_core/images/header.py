@@ -44,7 +44,7 @@ class FrameLimits:
 class FrameInfo:
     """A frame's header; ``width`` and ``height`` are those after the EXIF orientation is applied.
 
-    ``orientation`` is EXIF's 1–8, ``grey`` says that the decoded image has one channel, ``cmyk`` that a
+    ``orientation`` is EXIF's 1–8, ``gray`` says that the decoded image has one channel, ``cmyk`` that a
     JPEG is stored in four.
     """
 
@@ -52,7 +52,7 @@ class FrameInfo:
     width: int
     height: int
     orientation: int = 1
-    grey: bool = False
+    gray: bool = False
     cmyk: bool = False
 
 
@@ -116,11 +116,11 @@ def _measured(info: FrameInfo, limits: FrameLimits) -> FrameInfo:
 
 
 def _oriented(
-    kind: Kind, width: int, height: int, orientation: int, *, grey: bool = False, cmyk: bool = False
+    kind: Kind, width: int, height: int, orientation: int, *, gray: bool = False, cmyk: bool = False
 ) -> FrameInfo:
     if orientation >= 5:
         width, height = height, width
-    return FrameInfo(kind, width, height, orientation, grey, cmyk)
+    return FrameInfo(kind, width, height, orientation, gray, cmyk)
 
 
 def _exif_orientation(tiff: bytes) -> int:
@@ -176,7 +176,7 @@ def _jpeg(data: bytes, limits: FrameLimits) -> FrameInfo:
     if frame is None:
         _undecodable("the JPEG has no frame header")
     sof, height, width, components = frame
-    info = _oriented("jpeg", width, height, orientation or 1, grey=components == 1, cmyk=components == 4)
+    info = _oriented("jpeg", width, height, orientation or 1, gray=components == 1, cmyk=components == 4)
     _measured(info, limits)
     # A sequential image whose first scan holds all components has no further scan: libjpeg refuses one.
     if sof == _SOF_PROGRESSIVE or data[at + 4] < components:
@@ -223,8 +223,8 @@ def _png(data: bytes, limits: FrameLimits) -> FrameInfo:
         if header is None:
             if name != b"IHDR" or length != 13:
                 _undecodable("the PNG does not begin with its header")
-            width, height, _, colour_type = struct.unpack_from(">IIBB", data, at + 8)
-            header = width, height, colour_type
+            width, height, _, color_type = struct.unpack_from(">IIBB", data, at + 8)
+            header = width, height, color_type
             _measured(FrameInfo("png", width, height), limits)
         elif name == b"acTL":
             _undecodable("the PNG is animated")
@@ -237,8 +237,8 @@ def _png(data: bytes, limits: FrameLimits) -> FrameInfo:
         _undecodable("the PNG has too many chunks")
     if header is None:
         _undecodable("the PNG has no header")
-    width, height, colour_type = header
-    return _oriented("png", width, height, orientation or 1, grey=colour_type in (0, 4))
+    width, height, color_type = header
+    return _oriented("png", width, height, orientation or 1, gray=color_type in (0, 4))
 
 
 def _webp(data: bytes, limits: FrameLimits) -> FrameInfo:

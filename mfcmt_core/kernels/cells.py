@@ -11,7 +11,7 @@ from ._jit import kernel
 
 
 @kernel
-def gray_cells(gray, window, channel, out):  # type: ignore[no-untyped-def]
+def gray_cells(gray, hann, channel, out):  # type: ignore[no-untyped-def]
     """Mean grey of each cell of 4×4 in [-0.5, 0.5], windowed, into one plane of ``out``; ``gray`` uint8."""
     cells_y, _, cells_x = out.shape
     scale, half = np.float32(1 / (16 * 255)), np.float32(0.5)
@@ -21,11 +21,11 @@ def gray_cells(gray, window, channel, out):  # type: ignore[no-untyped-def]
             for y in range(4 * cy, 4 * cy + 4):
                 for x in range(4 * cx, 4 * cx + 4):
                     total += np.int32(gray[y, x])
-            out[cy, channel, cx] = (np.float32(total) * scale - half) * window[cy, cx]
+            out[cy, channel, cx] = (np.float32(total) * scale - half) * hann[cy, cx]
 
 
 @kernel
-def color_name_cells(patch, table, window, first, out):  # type: ignore[no-untyped-def]
+def color_name_cells(patch, table, hann, first, out):  # type: ignore[no-untyped-def]
     """Colour-name features of each cell's mean colour, windowed, into the planes of ``out`` from ``first`` on.
 
     ``patch`` (4 cells, 4 cells, 3) uint8 BGR, ``table`` (32768, L) float32.
@@ -44,4 +44,4 @@ def color_name_cells(patch, table, window, first, out):  # type: ignore[no-untyp
         for channel in range(table.shape[1]):
             plane = out[cy, first + channel]
             for cx in range(cells_x):
-                plane[cx] = table[index[cx], channel] * window[cy, cx]
+                plane[cx] = table[index[cx], channel] * hann[cy, cx]

@@ -35,7 +35,7 @@ def shift(rectangle, dx, dy, height, width):  # type: ignore[no-untyped-def]
 
 @kernel
 def learn_colors(  # type: ignore[no-untyped-def]
-    bins, inner, outer, dx, dy, rate, gain, unseen, shown, counts, histograms, lookup
+    bins, inner, outer, dx, dy, rate, decay_scale, unseen, shown, counts, histograms, lookup
 ):
     """Equation 11 on the colours of a patch: each pixel adds to its bin of a region's histogram.
 
@@ -48,8 +48,8 @@ def learn_colors(  # type: ignore[no-untyped-def]
     height, width = bins.shape
     inner, front = shift(inner, dx, dy, height, width)
     outer, covered = shift(outer, dx, dy, height, width)
-    one_f = rate * gain / np.float32(front)
-    one_b = rate * gain / np.float32(max(height * width - covered, 1))
+    one_f = rate * decay_scale / np.float32(front)
+    one_b = rate * decay_scale / np.float32(max(height * width - covered, 1))
     number = np.uint64(0)
     in_front, behind = np.int64(1), np.int64(1) << 32
     for y in range(height):
@@ -86,7 +86,7 @@ def tabulate(histograms, unseen, lookup):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def look_up(bins, lookup, integral):  # type: ignore[no-untyped-def]
+def integrate_likelihood(bins, lookup, integral):  # type: ignore[no-untyped-def]
     """Per-pixel likelihood summed up: ``integral`` (H + 1, W + 1) float32, the recursion of equation 7."""
     height, width = bins.shape
     integral[0, :] = 0
@@ -140,8 +140,8 @@ def subtract_bands(  # type: ignore[no-untyped-def]
 def likelihood_map(  # type: ignore[no-untyped-def]
     bins, lookup, integral, rows, columns, box_height, box_width, band_height, band_width, weight, out
 ):
-    """:func:`look_up`, :func:`box_means` and, where it has a weight, :func:`subtract_bands` in one call."""
-    look_up(bins, lookup, integral)
+    """Call :func:`integrate_likelihood`, :func:`box_means` and, unless ``weight`` is 0, :func:`subtract_bands`."""
+    integrate_likelihood(bins, lookup, integral)
     box_means(integral, rows, columns, box_height, box_width, out)
     if weight != 0:
         subtract_bands(integral, rows, columns, box_height, box_width, band_height, band_width, weight, out)

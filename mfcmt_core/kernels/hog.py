@@ -94,10 +94,10 @@ def histogram_cells(magnitude, orientation, rows, histogram):  # type: ignore[no
 
 
 @kernel
-def normalize_cells(histogram, window, epsilon, norms, first, out):  # type: ignore[no-untyped-def]
+def normalize_cells(histogram, hann, epsilon, norms, first, out):  # type: ignore[no-untyped-def]
     """Block-normalise, clip and window the cells of :func:`histogram_cells`: 31 planes from ``first`` on of ``out``.
 
-    ``out`` (cells_y, channels, cells_x); ``window`` (cells_y, cells_x) multiplies every channel; ``epsilon`` is
+    ``out`` (cells_y, channels, cells_x); ``hann`` (cells_y, cells_x) multiplies every channel; ``epsilon`` is
     added to each block's energy; ``norms`` (cells_y + 1, cells_x + 1) is scratch. Blocks beyond the border repeat
     the last cell.
     """
@@ -123,7 +123,7 @@ def normalize_cells(histogram, window, epsilon, norms, first, out):  # type: ign
     half_f = np.float32(0.5)
     texture = np.zeros((4, cells_x), np.float32)
     for cy in range(cells_y):
-        up, down, win = norms[cy], norms[cy + 1], window[cy]
+        up, down, win = norms[cy], norms[cy + 1], hann[cy]
         texture[:] = 0
         for o in range(bins):
             h = histogram[cy, o, 1:]
@@ -160,8 +160,8 @@ def normalize_cells(histogram, window, epsilon, norms, first, out):  # type: ign
 
 
 @kernel
-def hog_cells(gray, window, epsilon, first, magnitude, orientation, rows, histogram, norms, out):  # type: ignore[no-untyped-def]
+def hog_cells(gray, hann, epsilon, first, magnitude, orientation, rows, histogram, norms, out):  # type: ignore[no-untyped-def]
     """The whole of fHOG in one call; scratch as its parts want it: gradients, histogram, normalised planes."""
     gradients(gray, magnitude, orientation)
     histogram_cells(magnitude, orientation, rows, histogram)
-    normalize_cells(histogram, window, epsilon, norms, first, out)
+    normalize_cells(histogram, hann, epsilon, norms, first, out)

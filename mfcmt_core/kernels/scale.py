@@ -143,10 +143,10 @@ def scale_norms(histogram, epsilon, energy, norms):  # type: ignore[no-untyped-d
 
 
 @kernel
-def scale_features(histogram, norms, window, texture, out):  # type: ignore[no-untyped-def]
+def scale_features(histogram, norms, hann, texture, out):  # type: ignore[no-untyped-def]
     """fHOG of every scale times the window over scales: ``out`` (cells, 31, lanes).
 
-    ``window`` (lanes,) is 0 where a lane is none of the scales; ``texture`` (4, lanes) is scratch.
+    ``hann`` (lanes,) is 0 where a lane is none of the scales; ``texture`` (4, lanes) is scratch.
     """
     cells_y, cells_x, lanes = norms.shape[0] - 1, norms.shape[1] - 1, norms.shape[2]
     half = np.float32(0.5)
@@ -166,22 +166,22 @@ def scale_features(histogram, norms, window, texture, out):  # type: ignore[no-u
                     t1[s] += vb
                     t2[s] += vc
                     t3[s] += vd
-                    feature[s] = half * window[s] * (va + vb + vc + vd)
+                    feature[s] = half * hann[s] * (va + vb + vc + vd)
             for o in range(ORIENTATIONS):
                 first, second, feature = cell[o], cell[o + ORIENTATIONS], features[SIGNED + o]
                 for s in range(lanes):
                     v = first[s] + second[s]
                     total = min(v * a[s], CLIP) + min(v * b[s], CLIP) + min(v * c[s], CLIP) + min(v * d[s], CLIP)
-                    feature[s] = half * window[s] * total
+                    feature[s] = half * hann[s] * total
             for k in range(4):
                 t, feature = texture[k], features[SIGNED + ORIENTATIONS + k]
                 for s in range(lanes):
-                    feature[s] = TEXTURE * window[s] * t[s]
+                    feature[s] = TEXTURE * hann[s] * t[s]
 
 
 @kernel
 def scale_hog(  # type: ignore[no-untyped-def]
-    gray, center_x, center_y, step_x, step_y, epsilon, window,
+    gray, center_x, center_y, step_x, step_y, epsilon, hann,
     quads, samples, magnitude, orientation, histogram, energy, norms, texture, out,
 ):  # fmt: skip
     """From a grey picture to the features of every scale in one call; scratch as its parts want it."""
@@ -190,19 +190,19 @@ def scale_hog(  # type: ignore[no-untyped-def]
     scale_gradients(samples, magnitude, orientation)
     scale_histogram(magnitude, orientation, histogram)
     scale_norms(histogram, epsilon, energy, norms)
-    scale_features(histogram, norms, window, texture, out)
+    scale_features(histogram, norms, hann, texture, out)
 
 
 @kernel
-def respond_scales(spectra, mean, label_f, energy, regularization, products, response_f):  # type: ignore[no-untyped-def]
+def respond_scales(spectra, numerator, label_f, energy, regularization, products, response_f):  # type: ignore[no-untyped-def]
     """Equation 3 along scales: ``response_f`` (half,) ← label / (energy + λ) · Σ conj(mean) · spectrum over features.
 
-    ``spectra`` and ``mean`` (cells, 31, half) complex64; ``products`` (31, half) complex64 is scratch.
+    ``spectra`` and ``numerator`` (cells, 31, half) complex64; ``products`` (31, half) complex64 is scratch.
     """
     products[:] = 0
     total = products.ravel()
     for cell in range(spectra.shape[0]):
-        z, a = spectra[cell].ravel(), mean[cell].ravel()
+        z, a = spectra[cell].ravel(), numerator[cell].ravel()
         for i in range(total.size):
             total[i] += np.conj(a[i]) * z[i]
     for k in range(response_f.size):
@@ -210,19 +210,19 @@ def respond_scales(spectra, mean, label_f, energy, regularization, products, res
 
 
 @kernel
-def learn_scales(spectra, angles, rate, mean, energy, turns, squares):  # type: ignore[no-untyped-def]
+def learn_scales(spectra, angles, rate, numerator, energy, rotations, squares):  # type: ignore[no-untyped-def]
     """Running means of ``spectra`` (cells, 31, half) and of their ``energy`` (half,), Σ |spectrum|² over features.
 
-    Each frequency is turned by its angle of ``angles`` (half,), which moves the spectra along the scales. ``turns``
+    Each frequency is turned by its angle of ``angles`` (half,), which moves the spectra along the scales. ``rotations``
     (31, half) complex64 and ``squares`` (31, half) are scratch.
     """
     keep = np.float32(1) - rate
     for k in range(angles.size):
-        turns[:, k] = rate * np.complex64(complex(np.cos(angles[k]), np.sin(angles[k])))
+        rotations[:, k] = rate * np.complex64(complex(np.cos(angles[k]), np.sin(angles[k])))
     squares[:] = 0
-    factor, total = turns.ravel(), squares.ravel()
+    factor, total = rotations.ravel(), squares.ravel()
     for cell in range(spectra.shape[0]):
-        z, a = spectra[cell].ravel(), mean[cell].ravel()
+        z, a = spectra[cell].ravel(), numerator[cell].ravel()
         for i in range(total.size):
             total[i] += z[i].real * z[i].real + z[i].imag * z[i].imag
             a[i] = keep * a[i] + factor[i] * z[i]

@@ -22,15 +22,16 @@ def correlate(filters, spectra, first, last, response_f):  # type: ignore[no-unt
 
 
 @kernel
-def respond_filters(mean, gain, blocks, background, spectra, response_f):  # type: ignore[no-untyped-def]
-    """Equation 3 for every template model: ``response_f`` (models, n, n // 2 + 1) complex64.
+def respond_filters(numerator, quotient, blocks, background, spectra, response_f):  # type: ignore[no-untyped-def]
+    """Apply every template filter (equation 3): write ``response_f`` (models, n, n // 2 + 1) complex64.
 
-    ``blocks`` (ridge models, 2) int64 holds the first and one past the last channel of each ridge filter, which is
-    ``mean`` times ``gain``; ``background`` is the filter of the last model, without channels where there is none.
+    ``blocks`` (ridge models, 2) int64 holds the first and one past the last channel of each ridge filter. Such a
+    filter is ``numerator`` times ``quotient``. ``background`` is the filter of the last model; it has no channels if
+    there is no such model.
     """
     for m in range(blocks.shape[0]):
-        correlate(mean, spectra, blocks[m, 0], blocks[m, 1], response_f[m])
-        total, factor = response_f[m].ravel(), gain[m].ravel()
+        correlate(numerator, spectra, blocks[m, 0], blocks[m, 1], response_f[m])
+        total, factor = response_f[m].ravel(), quotient[m].ravel()
         for k in range(total.size):
             total[k] *= factor[k]
     if background.shape[0] > 0:
@@ -38,13 +39,13 @@ def respond_filters(mean, gain, blocks, background, spectra, response_f):  # typ
 
 
 @kernel
-def divide_label(label_f, denominator, regularization, gain):  # type: ignore[no-untyped-def]
-    """What equations 2 and 3 leave to multiply a sum with: ``gain`` (models, n, half) ← label / (denominator + λ)."""
+def divide_label(label_f, denominator, regularization, quotient):  # type: ignore[no-untyped-def]
+    """Divide the label by the denominator of equation 2: ``quotient`` (models, n, half) ← label / (denominator + λ)."""
     label = label_f.ravel()
-    for m in range(gain.shape[0]):
-        total, quotient = denominator[m].ravel(), gain[m].ravel()
+    for m in range(quotient.shape[0]):
+        total, row = denominator[m].ravel(), quotient[m].ravel()
         for k in range(label.size):
-            quotient[k] = label[k] * (np.float32(1) / (total[k] + regularization))
+            row[k] = label[k] * (np.float32(1) / (total[k] + regularization))
 
 
 @kernel
@@ -59,7 +60,7 @@ def energy(spectra, block, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def turn(spectra, dx, dy):  # type: ignore[no-untyped-def]
+def phase_shift(spectra, dx, dy):  # type: ignore[no-untyped-def]
     """Move what ``spectra`` show by (-dx, -dy) cells, in place: the shift theorem."""
     channels, n, half = spectra.shape
     unit = 2 * np.pi / n
@@ -87,22 +88,22 @@ def learn_filters(spectra, label_f, blocks, regularization, rate, energies, filt
     """
     keep = np.float32(1) - rate
     label = label_f.ravel()
-    gain = np.empty(label.size, np.complex64)
+    factor = np.empty(label.size, np.complex64)
     for m in range(blocks.shape[0]):
         total = energies[m].ravel()
         for k in range(label.size):
-            gain[k] = np.conj(label[k]) * (rate / (total[k] + regularization))
+            factor[k] = np.conj(label[k]) * (rate / (total[k] + regularization))
         for channel in range(blocks[m, 0], blocks[m, 1]):
             w, z = filters[channel].ravel(), spectra[channel].ravel()
             for k in range(label.size):
-                w[k] = keep * w[k] + gain[k] * z[k]
+                w[k] = keep * w[k] + factor[k] * z[k]
 
 
 @kernel
-def learn_spectra(spectra, blocks, rate, mean, denominator):  # type: ignore[no-untyped-def]
+def learn_spectra(spectra, blocks, rate, numerator, denominator):  # type: ignore[no-untyped-def]
     """Equation 11 on numerator and denominator of equation 2, the numerator without the label.
 
-    That is the same in every frame, so the numerator's mean is the label times the ``mean`` of spectra.
+    That is the same in every frame, so the numerator's mean is the label times the ``numerator`` of spectra.
     """
     keep = np.float32(1) - rate
     for m in range(blocks.shape[0]):
@@ -110,18 +111,18 @@ def learn_spectra(spectra, blocks, rate, mean, denominator):  # type: ignore[no-
         for k in range(total.size):
             total[k] *= keep
         for channel in range(blocks[m, 0], blocks[m, 1]):
-            a, z = mean[channel].ravel(), spectra[channel].ravel()
+            a, z = numerator[channel].ravel(), spectra[channel].ravel()
             for k in range(total.size):
                 a[k] = keep * a[k] + rate * z[k]
                 total[k] += rate * (z[k].real * z[k].real + z[k].imag * z[k].imag)
 
 
 @kernel
-def follow_spectra(  # type: ignore[no-untyped-def]
-    spectra, dx, dy, blocks, rate, label_f, regularization, mean, denominator, gain
+def learn_shifted_spectra(  # type: ignore[no-untyped-def]
+    spectra, dx, dy, blocks, rate, label_f, regularization, numerator, denominator, quotient
 ):
-    """:func:`turn`, :func:`learn_spectra` and :func:`divide_label` in one call."""
+    """:func:`phase_shift`, :func:`learn_spectra` and :func:`divide_label` in one call."""
     if dx != 0 or dy != 0:
-        turn(spectra, dx, dy)
-    learn_spectra(spectra, blocks, rate, mean, denominator)
-    divide_label(label_f, denominator, regularization, gain)
+        phase_shift(spectra, dx, dy)
+    learn_spectra(spectra, blocks, rate, numerator, denominator)
+    divide_label(label_f, denominator, regularization, quotient)

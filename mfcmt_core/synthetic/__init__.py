@@ -48,7 +48,7 @@ class Scene:
     rivals: int = 0
     pan: float = 0.0
     leaves: bool = False
-    grey: bool = False
+    gray: bool = False
     grain: float = 3.0
     balloons: bool = False
 
@@ -60,7 +60,7 @@ SCENES = {
     "occlusion": Scene(length=160, hide=0.6),
     "illumination": Scene(light=0.5),
     "leaves": Scene(length=160, leaves=True),
-    "grey": Scene(grey=True),
+    "grey": Scene(gray=True),
     "small": Scene(target=(8.0, 8.0), speed=0.12),
     "large": Scene((1920, 1080), (1000.0, 640.0), 30, speed=0.03),
     "distractors": Scene(rivals=2),
@@ -161,7 +161,7 @@ def render(scene: Scene, *, seed: int = 0, name: str = "scene") -> Sequence:
         frame = paint.f32(frame * np.float32(light[i]))
         top, left = np.random.default_rng((seed, i)).integers((61, 67))
         image = cv2.add(frame, grain[top : top + height, left : left + width], dtype=cv2.CV_8U)
-        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if scene.grey else image, np.uint8)
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if scene.gray else image, np.uint8)
 
     return Sequence(name, Frames(scene.length, draw), boxes, _shown(scene, boxes, post_boxes))
 

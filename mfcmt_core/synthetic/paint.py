@@ -72,10 +72,10 @@ def mix(under: npt.ArrayLike, over: npt.ArrayLike, share: npt.ArrayLike) -> Pict
     return f32(a + (b - a) * s[..., None])
 
 
-def sprite(colour: npt.ArrayLike, alpha: npt.ArrayLike) -> Picture:
+def sprite(color: npt.ArrayLike, alpha: npt.ArrayLike) -> Picture:
     """BGRA, colours multiplied with alpha."""
     a = np.clip(np.asarray(alpha, np.float32), 0, 1)[..., None]
-    return f32(np.concatenate([np.clip(colour, 0, 255) * a, a], axis=2))
+    return f32(np.concatenate([np.clip(color, 0, 255) * a, a], axis=2))
 
 
 def blend(frame: Picture, picture: Picture, box: npt.ArrayLike, angle: float = 0.0) -> None:
@@ -211,10 +211,10 @@ def landscape(rng: np.random.Generator, width: int, height: int) -> Picture:
     picture = mix(picture, f32((252, 248, 243)) * relief[..., None], 0.85 * step(cloud, 0.42, 0.85))
     rock = noise(rng, height, width, height / 8, 6)
     facet = np.clip(1 + 2.6 * lit(rock, 4, 0), 0.6, 1.5)
-    for reach, haze, colour, snow in RANGES:
+    for reach, haze, color, snow in RANGES:
         crest = noise(rng, 1, width, height * reach * 1.6, 6)[0]
         ridge = horizon - reach * height * (0.35 + 1.1 * (crest - 0.3))
-        slope = np.full((height, width, 3), colour) * facet[..., None]
+        slope = np.full((height, width, 3), color) * facet[..., None]
         up = (horizon - y) / (reach * height)
         slope = mix(slope, (250, 244, 238), step(up + 1.1 * (rock - 0.5), snow, snow + 0.3))
         picture = mix(picture, mix(slope, SKY_LOW, np.full_like(y, haze)), step(y - ridge, -0.7, 0.7))

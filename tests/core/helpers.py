@@ -38,7 +38,9 @@ def assert_sane(result: TrackResult, frame_size: tuple[int, int]) -> None:
 
 def filters_of(model: TemplateModel) -> np.ndarray:
     """W of equation 2, (channels, n, n // 2 + 1)."""
-    return np.concatenate([model.mean[a:b] * np.conj(g) for (a, b), g in zip(model.blocks, model.gain, strict=True)])
+    return np.concatenate(
+        [model.numerator[a:b] * np.conj(g) for (a, b), g in zip(model.blocks, model.quotient, strict=True)]
+    )
 
 
 def track(config: MFCMTConfig, frames: Sequence[np.ndarray], box: Iterable[float]) -> list[TrackResult]:

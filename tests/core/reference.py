@@ -144,7 +144,7 @@ def energy(spectra, block):
     return (np.abs(spectra[block[0] : block[1]]) ** 2).sum(0)
 
 
-def turn(spectra, dx, dy):
+def phase_shift(spectra, dx, dy):
     """The shift theorem, frequencies written out."""
     n = spectra.shape[1]
     rows, columns = np.fft.fftfreq(n)[:, None], np.arange(spectra.shape[2]) / n

@@ -60,7 +60,7 @@ def test_the_iterations_go_to_the_constrained_optimum(smooth, monkeypatch):
     losses = []
     for count in (2, 20, 200):
         monkeypatch.setattr(background, "PENALTIES", (10.0,) * count)
-        m.background.train(m.mean, first=True)
+        m.background.train(m.numerator, first=True)
         losses.append(loss(np.fft.irfft2(m.background.filters, s=(N, N)).ravel()))
     assert losses[0] > losses[1] > losses[2] > loss(best) * (1 - 1e-4)
     assert losses[2] == pytest.approx(loss(best), rel=0.02)
@@ -73,13 +73,13 @@ def test_a_later_training_goes_on_where_the_last_has_ended(smooth, monkeypatch):
     losses = [loss(w.ravel())]
     for count in (1, 20, 180):
         for _ in range(count):
-            m.background.train(m.mean)
+            m.background.train(m.numerator)
         losses.append(loss(np.fft.irfft2(m.background.filters, s=(N, N)).ravel()))
     assert losses == sorted(losses, reverse=True)
     assert losses[-1] == pytest.approx(loss(best), rel=0.02)
     again, _ = learned(smooth)
     monkeypatch.setattr(background, "PENALTIES", background.PENALTIES + (background.PENALTIES[-1],) * 201)
-    again.background.train(m.mean, first=True)
+    again.background.train(m.numerator, first=True)
     np.testing.assert_allclose(again.background.filters, m.background.filters, atol=1e-4)
 
 
@@ -87,7 +87,7 @@ def test_a_first_training_forgets_what_was(smooth):
     m, _ = learned(smooth)
     expected = m.background.filters.copy(), m.background.unmasked.copy()
     m.background.train(spectra_of(noise(1, 42)))
-    m.background.train(m.mean, first=True)
+    m.background.train(m.numerator, first=True)
     assert np.array_equal(m.background.filters, expected[0])
     assert np.array_equal(m.background.unmasked, expected[1])
 

@@ -14,9 +14,9 @@ from . import reference
 CONFIG = MFCMTConfig.default()
 
 
-def model(target=(56.0, 44.0), grey=False, **changes) -> ColorModel:
+def model(target=(56.0, 44.0), is_gray=False, **changes) -> ColorModel:
     config = CONFIG.replace(**changes)
-    return ColorModel(config, SearchWindow(config, target), grey)
+    return ColorModel(config, SearchWindow(config, target), is_gray)
 
 
 def few_colors(seed=0, side=CONFIG.patch_size):
@@ -36,7 +36,7 @@ def regions(m: ColorModel, side):
 
 def histograms(m: ColorModel):
     """Foreground and background, (bins, 2), each of sum 1."""
-    return m.histograms / m.gain
+    return m.histograms / m.decay_scale
 
 
 def test_equation_6_is_the_regression_of_equation_5():
@@ -99,10 +99,10 @@ def test_unseen_colours(unseen):
     assert (m.lookup[never] == np.float32(unseen)).all()
 
 
-@pytest.mark.parametrize("grey", [False, True])
-def test_equation_7_is_the_box_mean(grey):
-    m = model(grey=grey, surroundings_weight=0)
-    patch = few_colors(1)[..., 0].copy() if grey else few_colors(1)
+@pytest.mark.parametrize("is_gray", [False, True])
+def test_equation_7_is_the_box_mean(is_gray):
+    m = model(is_gray=is_gray, surroundings_weight=0)
+    patch = few_colors(1)[..., 0].copy() if is_gray else few_colors(1)
     bins = m.bins(patch).copy()
     m.learn(bins, first=True)
     out = np.empty((len(m.rows), len(m.columns)), np.float32)
@@ -197,18 +197,18 @@ def test_histograms_are_scaled_back_before_they_overflow():
     m = model()
     m.learn(m.bins(few_colors(0)), first=True)
     old, new = m.bins(few_colors(0)), m.bins(few_colors(1))
-    gains = [float(m.gain[0])]
+    gains = [float(m.decay_scale[0])]
     while gains[-1] >= gains[-2:][0]:
         before = m.lookup.copy()
         m.learn(new)
-        gains.append(float(m.gain[0]))
+        gains.append(float(m.decay_scale[0]))
         assert gains[-1] <= 1e9
     assert gains[-1] == 1
     assert len(gains) > 400
     np.testing.assert_allclose(m.lookup[np.unique(new)], before[np.unique(new)], rtol=1e-5)
     for _ in range(250):
         m.learn(new)
-    while m.gain[0] != 1:
+    while m.decay_scale[0] != 1:
         m.learn(new)
     gone = np.setdiff1d(old, new)
     assert not m.histograms[gone].any()
@@ -233,8 +233,8 @@ def test_a_bin_is_five_bits_a_channel():
 
 
 def test_grey_has_one_axis_of_bins():
-    assert model(grey=True).lookup.shape == (32,)
-    assert model(grey=False).lookup.shape == (32768,)
+    assert model(is_gray=True).lookup.shape == (32,)
+    assert model(is_gray=False).lookup.shape == (32768,)
 
 
 @pytest.mark.parametrize("target", [(4.0, 400.0), (400.0, 4.0), (1.0, 1.0), (1000.0, 640.0)])

@@ -40,19 +40,19 @@ def test_hann_window_has_no_border_of_zeros():
 
 
 def test_cues_are_blocks_in_order():
-    stack = FeatureStack(CONFIG.replace(features=("fhog", "gray", "color_names")), grey=False)
+    stack = FeatureStack(CONFIG.replace(features=("fhog", "gray", "color_names")), is_gray=False)
     widths = {cue: block.stop - block.start for cue, block in stack.blocks.items()}
     assert list(widths.items()) == [("fhog", 31), ("gray", 1), ("color_names", 10)]
     assert stack.channels == 42
     everything = extract(stack, patch())
     for cue, block in stack.blocks.items():
         if cue != "color_names":  # alone it would leave a grey target nothing
-            alone = FeatureStack(CONFIG.replace(features=(cue,)), grey=False)
+            alone = FeatureStack(CONFIG.replace(features=(cue,)), is_gray=False)
             assert np.array_equal(extract(alone, patch()), everything[:, block])
 
 
 def test_colour_names_are_left_out_of_grey_sequences():
-    stack = FeatureStack(CONFIG, grey=True)
+    stack = FeatureStack(CONFIG, is_gray=True)
     assert set(stack.blocks) == set(CUES) - {"color_names"}
     gray = patch()[..., 0].copy()
     three = np.repeat(gray[..., None], 3, axis=2)
@@ -62,18 +62,18 @@ def test_colour_names_are_left_out_of_grey_sequences():
 @pytest.mark.parametrize("side", [32, 99, 100, 101, 102, 103, 148, 150])
 def test_any_patch_size_gives_whole_cells(side):
     """What is left over is left out on both sides."""
-    stack = FeatureStack(CONFIG.replace(patch_size=side), grey=False)
+    stack = FeatureStack(CONFIG.replace(patch_size=side), is_gray=False)
     features = extract(stack, patch(side))
     cells, rest = divmod(side, 4)
     assert features.shape == (cells, 42, cells)
     assert np.isfinite(features).all()
     inner = np.ascontiguousarray(patch(side)[rest // 2 :, rest // 2 :][: 4 * cells, : 4 * cells])
-    whole = FeatureStack(CONFIG.replace(patch_size=4 * cells), grey=False)
+    whole = FeatureStack(CONFIG.replace(patch_size=4 * cells), is_gray=False)
     assert np.array_equal(features, extract(whole, inner))
 
 
 def test_layout_of_the_patch_does_not_matter():
-    stack = FeatureStack(CONFIG, grey=False)
+    stack = FeatureStack(CONFIG, is_gray=False)
     expected = extract(stack, patch())
     fortran = np.asfortranarray(patch())
     assert np.array_equal(extract(stack, np.ascontiguousarray(fortran)), expected)
@@ -148,7 +148,7 @@ def test_a_table_file_is_used_instead(tmp_path, frames, clip):
         np.array([r.box for r in MFCMT(CONFIG).track(frames[:8], clip.boxes[0])]), abs=1e-2
     )
     np.save(tmp_path / "three.npy", np.random.default_rng(0).random((32768, 3)))
-    narrow = FeatureStack(CONFIG.replace(color_name_table=str(tmp_path / "three.npy")), grey=False)
+    narrow = FeatureStack(CONFIG.replace(color_name_table=str(tmp_path / "three.npy")), is_gray=False)
     assert narrow.channels == 35
     np.testing.assert_allclose(narrow.names.mean(0, np.float64), 0, atol=1e-7)
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mfcmt_core import BadBox, BadImage, MFCMTConfig, RegionTooSmall
 from mfcmt_core.geometry import Frame, SearchWindow, _columns, check_box, clip_rect, grow_rect
-from mfcmt_core.target import Cut, Observation
+from mfcmt_core.target import Crop, Observation
 
 CONFIG = MFCMTConfig.default()
 SIDE = st.floats(1e-3, 2000)
@@ -117,8 +117,8 @@ def test_sample_repeats_the_border_of_the_region(rect, region, out_size, in_colo
     x, y, w, h = within
     masked[y : y + h, x : x + w] = image[y : y + h, x : x + w]
     assert np.array_equal(Frame.of(masked).sample(rect, within, out_size), sampled)
-    cut = np.ascontiguousarray(image[y : y + h, x : x + w])
-    assert np.array_equal(Frame.of(cut, (x, y), (80, 60)).sample(rect, within, out_size), sampled)
+    crop = np.ascontiguousarray(image[y : y + h, x : x + w])
+    assert np.array_equal(Frame.of(crop, (x, y), (80, 60)).sample(rect, within, out_size), sampled)
 
 
 @pytest.mark.parametrize("step", [1, 2, 3, 7, 49])
@@ -162,7 +162,7 @@ def test_a_cut_lies_in_its_frame(offset):
 def middle_of(patch):
     """What is seen in the middle of ``patch`` by a target without models."""
     nothing = np.empty(0, np.uint8)
-    return Observation(Cut(patch, 1.0, nothing, nothing, nothing), (0, 0), nothing, nothing)
+    return Observation(Crop(patch, 1.0, nothing, nothing, nothing), (0, 0), nothing, nothing)
 
 
 @pytest.mark.parametrize("base", [(40.0, 30.0), (30.0, 81.0), (8.0, 8.0), (1000.0, 640.0), (4.0, 400.0)])
@@ -214,7 +214,7 @@ def test_displacements_count_from_the_middle_of_the_whole_pixel_cut(x, y, w, h, 
     assert patch.center == (rx + rw / 2, ry + rh / 2)
     assert abs(patch.center[0] - x) <= 0.5 + 1e-9
     assert abs(patch.center[1] - y) <= 0.5 + 1e-9
-    place = middle_of(patch).displaced((dx, dy))
+    place = middle_of(patch).place_at((dx, dy))
     # a cell is four pixels of the patch, which are (rw, rh) / (patch_size + 2·margin) pixels of the frame each
     assert place[0] - patch.center[0] == pytest.approx(4 * dx * rw / side)
     assert place[1] - patch.center[1] == pytest.approx(4 * dy * rh / side)
@@ -229,7 +229,7 @@ def test_displacement_of_a_real_shift():
     there = search.crop(frame, within, (158.0, 146.0), 1.0)
     assert here.pixels.shape == (124, 124)
     assert np.array_equal(here.pixels[:114, 10:], there.pixels[4:118, 2:116])
-    assert middle_of(here).displaced((2, -1)) == there.center
+    assert middle_of(here).place_at((2, -1)) == there.center
 
 
 @pytest.mark.parametrize("patch_size", [32, 100, 150])

@@ -171,12 +171,12 @@ def test_tabulate(unseen):
     assert color.likelihood(np.float32(0), np.float32(0), np.float32(unseen)) == np.float32(unseen)
 
 
-def test_look_up_and_box_means(picture):
+def test_integrate_likelihood_and_box_means(picture):
     patch = patch_of(picture, 100, 120)
     bins = reference.bin_pixels(patch).astype(np.uint16)
     lookup = np.random.default_rng(2).random(32**3).astype(np.float32)
     integral = np.full((101, 121), np.nan, np.float32)
-    color.look_up(bins, lookup, integral)
+    color.integrate_likelihood(bins, lookup, integral)
     close(integral, reference.integral(bins, lookup))
     rows, columns = np.array([0, 1, 40, 69, 69]), np.array([0, 33, 100])
     out = np.empty((5, 3), np.float32)

@@ -90,8 +90,8 @@ def test_skip_refined():
 
 @pytest.mark.parametrize("restart", [0, 2])
 def test_walk_says_where_each_interval_ends(restart):
-    grey = jpegs.picture()[:64, :40, 0]
-    data = jpegs.written(grey, [(1, 1)], restart=restart)
+    gray = jpegs.picture()[:64, :40, 0]
+    data = jpegs.written(gray, [(1, 1)], restart=restart)
     at, tables = jpegs.segments(data)[1], np.zeros((2, 1 << 16), np.uint16)
     raw, _ = jpegs.standard_tables()
     for found in re.finditer(rb"\xff\xc4", raw):

@@ -44,11 +44,11 @@ def test_correlate(spectra):
 @pytest.mark.parametrize("background", [False, True])
 def test_respond_filters(spectra, background):
     rng = np.random.default_rng(5)
-    mean, filters = complex_noise(rng, *spectra.shape), complex_noise(rng, *spectra.shape)
-    gain = complex_noise(rng, len(BLOCKS), *spectra.shape[1:])
+    numerator, filters = complex_noise(rng, *spectra.shape), complex_noise(rng, *spectra.shape)
+    quotient = complex_noise(rng, len(BLOCKS), *spectra.shape[1:])
     out = np.empty((len(BLOCKS) + background, *spectra.shape[1:]), np.complex64)
-    template.respond_filters(mean, gain, BLOCKS, filters if background else filters[:0], spectra, out)
-    close(out[: len(BLOCKS)], gain * reference.respond_filters(mean, spectra, BLOCKS))
+    template.respond_filters(numerator, quotient, BLOCKS, filters if background else filters[:0], spectra, out)
+    close(out[: len(BLOCKS)], quotient * reference.respond_filters(numerator, spectra, BLOCKS))
     if background:
         close(out[-1:], reference.respond_filters(filters, spectra, [(0, len(spectra))]))
 
@@ -57,8 +57,8 @@ def test_respond_filters(spectra, background):
 @pytest.mark.parametrize("n", [8, N])
 def test_turn(n, offset):
     spectra = complex_noise(np.random.default_rng(9), 5, n, n // 2 + 1)
-    expected = reference.turn(spectra, *offset)
-    template.turn(spectra, *offset)
+    expected = reference.phase_shift(spectra, *offset)
+    template.phase_shift(spectra, *offset)
     close(spectra, expected)
 
 
@@ -69,7 +69,7 @@ def test_a_rolled_picture_is_turned_back(n, offset):
     grids = np.random.default_rng(10).standard_normal((3, n, n))
     dx, dy = offset
     spectra = np.fft.rfft2(np.roll(grids, (dy, dx), (1, 2))).astype(np.complex64)
-    template.turn(spectra, dx, dy)
+    template.phase_shift(spectra, dx, dy)
     close(spectra, np.fft.rfft2(grids))
 
 
@@ -78,7 +78,7 @@ def test_a_part_of_a_cell_is_the_wave_between_the_cells(offset):
     """The sum of waves through a picture's cells, evaluated beside them."""
     grid = np.random.default_rng(11).standard_normal((N, N))
     spectra = np.fft.rfft2(grid[None]).astype(np.complex64)
-    template.turn(spectra, *offset)
+    template.phase_shift(spectra, *offset)
     (dx, dy), frequencies, cells_ = offset, np.fft.fftfreq(N) * N, np.arange(N)
     across = np.exp(2j * np.pi / N * np.outer(cells_ + dx, frequencies))
     down = np.exp(2j * np.pi / N * np.outer(cells_ + dy, frequencies))
@@ -87,9 +87,9 @@ def test_a_part_of_a_cell_is_the_wave_between_the_cells(offset):
 
 
 def test_divide_label(spectra, label_f):
-    energies, gain = energies_of(spectra), np.empty((len(BLOCKS), *label_f.shape), np.complex64)
-    template.divide_label(label_f, energies, np.float32(0.3), gain)
-    close(gain, reference.divide_label(label_f, energies, 0.3))
+    energies, quotient = energies_of(spectra), np.empty((len(BLOCKS), *label_f.shape), np.complex64)
+    template.divide_label(label_f, energies, np.float32(0.3), quotient)
+    close(quotient, reference.divide_label(label_f, energies, 0.3))
 
 
 @pytest.mark.parametrize("rate", [0.02, 1.0])
@@ -103,11 +103,11 @@ def test_learn_filters(spectra, label_f, rate):
 @pytest.mark.parametrize("rate", [0.02, 1.0])
 def test_learn_spectra(spectra, rate):
     rng = np.random.default_rng(7)
-    mean = complex_noise(rng, *spectra.shape)
+    numerator = complex_noise(rng, *spectra.shape)
     denominator = rng.random((len(BLOCKS), *spectra.shape[1:])).astype(np.float32)
-    expected = reference.learn_spectra(spectra, BLOCKS, rate, mean, denominator)
-    template.learn_spectra(spectra, BLOCKS, np.float32(rate), mean, denominator)
-    for actual, wanted in zip((mean, denominator), expected, strict=True):
+    expected = reference.learn_spectra(spectra, BLOCKS, rate, numerator, denominator)
+    template.learn_spectra(spectra, BLOCKS, np.float32(rate), numerator, denominator)
+    for actual, wanted in zip((numerator, denominator), expected, strict=True):
         close(actual, wanted)
 
 
@@ -115,16 +115,18 @@ def test_learn_spectra(spectra, rate):
 def test_follow_spectra(spectra, label_f, offset):
     """The parts in one call."""
     rng = np.random.default_rng(12)
-    mean = complex_noise(rng, *spectra.shape)
+    numerator = complex_noise(rng, *spectra.shape)
     denominator = rng.random((len(BLOCKS), *spectra.shape[1:])).astype(np.float32)
-    gain = np.empty(denominator.shape, np.complex64)
-    turned = reference.turn(spectra, *offset).astype(np.complex64)
-    expected = reference.learn_spectra(turned, BLOCKS, 0.02, mean, denominator)
+    quotient = np.empty(denominator.shape, np.complex64)
+    turned = reference.phase_shift(spectra, *offset).astype(np.complex64)
+    expected = reference.learn_spectra(turned, BLOCKS, 0.02, numerator, denominator)
     rate, regularization = np.float32(0.02), np.float32(0.3)
-    template.follow_spectra(spectra, *offset, BLOCKS, rate, label_f, regularization, mean, denominator, gain)
-    for actual, wanted in zip((spectra, mean, denominator), (turned, *expected), strict=True):
+    template.learn_shifted_spectra(
+        spectra, *offset, BLOCKS, rate, label_f, regularization, numerator, denominator, quotient
+    )
+    for actual, wanted in zip((spectra, numerator, denominator), (turned, *expected), strict=True):
         close(actual, wanted)
-    close(gain, reference.divide_label(label_f, denominator, 0.3))
+    close(quotient, reference.divide_label(label_f, denominator, 0.3))
 
 
 @pytest.mark.parametrize(("before", "penalty"), [(0.0, 1.0), (1.0, 10.0)])

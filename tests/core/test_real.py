@@ -44,10 +44,10 @@ def test_mean_overlap(otb_root, name, length, default, paper):
 
 def test_grey_sequences_are_known_as_such(otb_root):
     """Stored with three channels all the same; Man only looks like it."""
-    for name, grey in (("Car1", True), ("Jumping", True), ("Man", False), ("MountainBike", False)):
+    for name, gray in (("Car1", True), ("Jumping", True), ("Man", False), ("MountainBike", False)):
         frames, truth = load(otb_root, name, 2)
         tracker = MFCMT()
         tracker.init(frames[0], truth[0])
         single = MFCMT()
         single.init(cv2.cvtColor(frames[0], cv2.COLOR_BGR2GRAY), truth[0])
-        assert (len(tracker.to_bytes()) == len(single.to_bytes())) == grey
+        assert (len(tracker.to_bytes()) == len(single.to_bytes())) == gray

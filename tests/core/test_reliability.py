@@ -1,4 +1,4 @@
-"""Section III-C: three tests against the last ten frames, and what follows from them."""
+"""The three tests of section III-C against the last ten frames, and the status that follows from them."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ PEAK = st.floats(1e-6, 1e3)
 
 
 def after(history, config=PAPER) -> Reliability:
-    """A judge that has seen frames with these peaks and learned from the reliable ones."""
+    """Return a Reliability that judged frames with these peaks and learned the reliable ones."""
     judge = Reliability(config)
     for peaks in history:
-        see(judge, peaks)
+        judge_frame(judge, peaks)
     return judge
 
 
-def see(judge, peaks):
+def judge_frame(judge, peaks):
     peaks = Peaks(*peaks)
     verdict = judge.judge(peaks)
     if verdict.reliable:
-        judge.learned_from(peaks)
+        judge.record_learned(peaks)
     return verdict
 
 
@@ -41,10 +41,10 @@ def see(judge, peaks):
         ((0.5, 1, 1), (False, True, True)),  # greater than, not equal
     ],
 )
-def test_thresholds_of_the_paper(factors, flags):
+def test_each_peak_is_tested_against_its_threshold_of_the_paper(factors, flags):
     """γ_q = 0.5, γ_t = 0.7, γ_s = 0.5, each times the mean of its own last ten; all three must hold."""
     mean = (0.25, 0.5, 0.75)
-    verdict = see(after([mean] * 10), np.multiply(mean, factors).tolist())
+    verdict = judge_frame(after([mean] * 10), np.multiply(mean, factors).tolist())
     assert (verdict.flags.fused, verdict.flags.template, verdict.flags.statistical) == flags
     assert verdict.reliable == all(flags)
     scores = (verdict.scores.fused, verdict.scores.template, verdict.scores.statistical)
@@ -55,7 +55,7 @@ def test_thresholds_of_the_paper(factors, flags):
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(PEAK, PEAK, PEAK), min_size=1, max_size=25), st.tuples(PEAK, PEAK, PEAK))
 def test_scores_are_ratios_to_the_mean_of_the_last_ten_frames_reliable_or_not(history, now):
-    verdict = see(after(history), now)
+    verdict = judge_frame(after(history), now)
     expected = np.array(now) / np.mean(history[-10:], axis=0)
     scores = (verdict.scores.fused, verdict.scores.template, verdict.scores.statistical)
     assert scores == pytest.approx(expected.tolist(), rel=1e-6)
@@ -65,75 +65,75 @@ def test_scores_are_ratios_to_the_mean_of_the_last_ten_frames_reliable_or_not(hi
     )
 
 
-def test_the_first_frame_is_compared_with_nothing():
-    verdict = see(Reliability(PAPER), (0.1, 0.2, 0.3))
+def test_the_first_frame_is_reliable_and_has_scores_of_one():
+    verdict = judge_frame(Reliability(PAPER), (0.1, 0.2, 0.3))
     assert verdict.reliable
     assert verdict.scores == type(verdict.scores)(1, 1, 1)
 
 
-def test_a_mean_of_zero_tests_nothing():
+def test_a_frame_after_ten_empty_ones_is_reliable():
     judge = after([(0, 0, 0)] * 10)
-    assert see(judge, (0, 0, 0)).reliable
-    verdict = see(judge, (0.1, 0.2, 0.3))
+    assert judge_frame(judge, (0, 0, 0)).reliable
+    verdict = judge_frame(judge, (0.1, 0.2, 0.3))
     assert verdict.reliable
     assert np.isfinite([verdict.scores.fused, verdict.scores.template, verdict.scores.statistical]).all()
 
 
-def test_the_paper_s_rule_unlocks_by_itself():
-    """After ten bad frames their mean is the measure: what the slow mean is there for."""
+def test_with_the_paper_s_rule_ten_bad_frames_become_the_new_measure():
+    """The long-term means are there to prevent this."""
     judge = after([(1, 1, 1)] * 10)
-    reliable = [see(judge, (0.3, 0.3, 0.3)).reliable for _ in range(10)]
+    reliable = [judge_frame(judge, (0.3, 0.3, 0.3)).reliable for _ in range(10)]
     assert not reliable[0]
     assert reliable[-1]
 
 
-def test_lost_after_so_many_unreliable_frames():
+def test_a_target_is_lost_after_lost_after_unreliable_frames():
     config = PAPER.replace(lost_after=3)
     judge = after([(1, 1, 1)] * 10, config)
-    # each half of the last, so that the sinking mean does not unlock
-    statuses = [see(judge, (1, 0.5**k, 1)).status for k in range(1, 8)]
+    # each half of the last, so that the sinking mean does not make it reliable
+    statuses = [judge_frame(judge, (1, 0.5**k, 1)).status for k in range(1, 8)]
     assert statuses[:3] == ["uncertain", "uncertain", "lost"]
     assert judge.lost
     assert statuses[3:] == ["lost"] * 4
 
 
-def test_never_lost_with_zero():
+def test_a_target_is_never_lost_if_lost_after_is_zero():
     judge = after([(1, 1, 1)] * 10, PAPER.replace(lost_after=0))
-    assert {see(judge, (1, 0.5**k, 1)).status for k in range(1, 100)} == {"uncertain"}
+    assert {judge_frame(judge, (1, 0.5**k, 1)).status for k in range(1, 100)} == {"uncertain"}
 
 
-def test_found_again_where_the_peak_is_again_what_is_usual():
+def test_a_lost_target_is_found_when_both_peaks_are_near_their_long_term_means():
     config = PAPER.replace(lost_after=3, found_threshold=0.6)
     judge = after([(1, 1, 1)] * 20, config)
     for k in range(1, 7):
-        see(judge, (1, 0.5**k, 1))
+        judge_frame(judge, (1, 0.5**k, 1))
     assert judge.lost
-    verdict = see(judge, (1, 0.59, 1))  # high against the last ten, not against what was usual
+    verdict = judge_frame(judge, (1, 0.59, 1))  # high against the last ten frames, low against the long-term mean
     assert verdict.flags.template
     assert (verdict.status, verdict.reliable) == ("lost", False)
-    verdict = see(judge, (1, 0.9, 0.59))  # the colours are not what they were
+    verdict = judge_frame(judge, (1, 0.9, 0.59))  # the colors do not match
     assert (verdict.status, verdict.reliable) == ("lost", False)
-    verdict = see(judge, (1, 0.9, 1))
+    verdict = judge_frame(judge, (1, 0.9, 1))
     assert (verdict.status, verdict.reliable) == ("tracking", True)
     assert not judge.lost
     assert judge.unreliable_run == 0
 
 
 @pytest.mark.parametrize("cue", [1, 2])
-def test_usual_threshold_keeps_the_gate_closed_while_the_ten_frame_mean_sinks(cue):
-    """Of the template peak and of the statistical one."""
+def test_usual_threshold_keeps_frames_unreliable_while_the_ten_frame_mean_sinks(cue):
+    """This holds for the template peak and for the statistical one."""
     judge = after([(1, 1, 1)] * 20, PAPER.replace(usual_threshold=0.5))
 
     def peaks(height):
         return [height if k == cue else 1 for k in range(3)]
 
-    assert not any(see(judge, peaks(0.3)).reliable for _ in range(40))
-    assert see(judge, peaks(0.6)).reliable
+    assert not any(judge_frame(judge, peaks(0.3)).reliable for _ in range(40))
+    assert judge_frame(judge, peaks(0.6)).reliable
 
 
-def test_usual_is_a_mean_over_learned_frames_only():
+def test_long_term_means_count_learned_frames_only():
     judge = after([(1, 1, 1)] * 20, PAPER.replace(usual_frames=10))
-    see(judge, (1, 0.01, 0.01))
-    assert judge.usual == pytest.approx((1, 1))
-    see(judge, (1, 2.0, 1.5))
-    assert judge.usual == pytest.approx((1.1, 1.05))
+    judge_frame(judge, (1, 0.01, 0.01))
+    assert judge.long_term_means == pytest.approx((1, 1))
+    judge_frame(judge, (1, 2.0, 1.5))
+    assert judge.long_term_means == pytest.approx((1.1, 1.05))

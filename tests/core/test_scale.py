@@ -101,23 +101,23 @@ def test_filter_is_the_regression_along_scales(image, samples):
     x = along_scales(seen, n)
     cell, channel = np.unravel_index(np.abs(x).sum(-1).argmax(), x.shape[:2])
     one = ScaleModel(CONFIG.replace(scale_samples=samples), (70.0, 60.0))
-    one.mean = np.zeros((1, 1, n // 2 + 1), np.complex64)
+    one.numerator = np.zeros((1, 1, n // 2 + 1), np.complex64)
     one.learn(seen[cell, channel][None, None], first=True)
     shifts = np.stack([np.roll(x[cell, channel], -d) for d in range(n)])
     steps = (np.arange(n) - n // 2) * 33 / n
     label = np.exp(-0.5 * (steps / (np.sqrt(33) * CONFIG.scale_sigma_factor)) ** 2)
     penalty = CONFIG.scale_regularization
     w = np.linalg.solve(shifts.T @ shifts + penalty * np.eye(n), shifts.T @ label)
-    w_f = one.label_f / (one.energy + penalty) * one.mean[0, 0]
+    w_f = one.label_f / (one.energy + penalty) * one.numerator[0, 0]
     np.testing.assert_allclose(along_scales(w_f, n), np.roll(w, n // 2), atol=1e-3)
 
 
 def test_learning_rate(image):
     model = learned(image, scale_learning_rate=0.1)
     other = learned(zoomed(image, 1.1), scale_learning_rate=0.1)
-    first, energy = model.mean.copy(), model.energy.copy()
+    first, energy = model.numerator.copy(), model.energy.copy()
     model.learn(spectra(model, zoomed(image, 1.1)))
-    np.testing.assert_allclose(model.mean, 0.9 * first + 0.1 * other.mean, atol=1e-3)
+    np.testing.assert_allclose(model.numerator, 0.9 * first + 0.1 * other.numerator, atol=1e-3)
     np.testing.assert_allclose(model.energy, 0.9 * energy + 0.1 * other.energy, rtol=1e-4)
 
 
@@ -126,8 +126,8 @@ def test_scales_are_33_powers_of_the_step():
     np.testing.assert_allclose(model.factors, 1.02 ** np.arange(-16.0, 17), rtol=1e-6)
     np.testing.assert_allclose(model.lane_factors, [*(1.02 ** np.arange(-16.0, 17)), *[1] * 7], rtol=1e-6)
     assert model.largest == pytest.approx(1.02**16)
-    assert model.window[16] == 1
-    assert not model.window[33:].any()
+    assert model.hann[16] == 1
+    assert not model.hann[33:].any()
 
 
 def test_fifteen_samples_take_as_many_steps_as_33_scales():
@@ -136,14 +136,14 @@ def test_fifteen_samples_take_as_many_steps_as_33_scales():
     np.testing.assert_allclose(model.factors, 1.02 ** np.arange(-16.0, 17), rtol=1e-6)
     step = 1.02 ** (33 / 15)
     np.testing.assert_allclose(model.lane_factors, [*(step ** np.arange(-7.0, 8)), 1], rtol=1e-6)
-    assert model.window[7] == 1
-    assert model.window[15] == 0
+    assert model.hann[7] == 1
+    assert model.hann[15] == 0
     assert model.largest == pytest.approx(step**7)
 
 
 def response_f_of(model, seen):
     products, response_f = np.empty(seen.shape[1:], np.complex64), np.empty(seen.shape[-1], np.complex64)
-    respond_scales(seen, model.mean, model.label_f, model.energy, model.regularization, products, response_f)
+    respond_scales(seen, model.numerator, model.label_f, model.energy, model.regularization, products, response_f)
     return response_f
 
 
@@ -181,8 +181,8 @@ def test_a_target_that_grew_is_learned_as_if_looked_at_in_its_size(image, steps,
     sample_step = 1.02 ** (33 / samples)
     model.learn(seen, sample_step**steps, first=True)
     plain.learn(seen, first=True)
-    expected = np.roll(along_scales(plain.mean, samples), -steps, axis=-1)
-    np.testing.assert_allclose(along_scales(model.mean, samples), expected, atol=1e-4)
+    expected = np.roll(along_scales(plain.numerator, samples), -steps, axis=-1)
+    np.testing.assert_allclose(along_scales(model.numerator, samples), expected, atol=1e-4)
     np.testing.assert_allclose(model.energy, plain.energy, rtol=1e-4)
 
 
@@ -194,8 +194,8 @@ def test_a_part_of_a_step_turns_each_wave_by_its_frequency(image, growth, sample
     model.learn(seen, growth, first=True)
     plain.learn(seen, first=True)
     shift = np.log(growth) / (33 / samples * np.log(1.02))
-    expected = plain.mean * np.exp(2j * np.pi / samples * np.arange(samples // 2 + 1) * shift)
-    np.testing.assert_allclose(model.mean, expected, atol=1e-4)
+    expected = plain.numerator * np.exp(2j * np.pi / samples * np.arange(samples // 2 + 1) * shift)
+    np.testing.assert_allclose(model.numerator, expected, atol=1e-4)
 
 
 @pytest.mark.parametrize("steps", [-2, -1, 1, 2])

@@ -43,9 +43,9 @@ def test_every_later_result_is_bit_equal(config, frames, clip):
             restored = MFCMT.from_bytes(restored.to_bytes())
 
 
-@pytest.mark.parametrize("grey", [False, True])
-def test_through_lost_and_back(grey):
-    sequence = synthetic.clip("leaves", grey=grey)
+@pytest.mark.parametrize("gray", [False, True])
+def test_through_lost_and_back(gray):
+    sequence = synthetic.clip("leaves", gray=gray)
     tracker, relayed = MFCMT(ALERT), MFCMT(ALERT)
     seen = []
     for index, frame in enumerate(sequence.frames):

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from mfcmt_core import MFCMT, BadSnapshot, MFCMTConfig, synthetic
-from mfcmt_core.snapshot import SINCE, VERSION
+from mfcmt_core.snapshot import PREVIOUS_CONFIG, VERSION
 
-AS_BEFORE = MFCMTConfig.default().replace(**SINCE)
+AS_BEFORE = MFCMTConfig.default().replace(**PREVIOUS_CONFIG)
 LANES = 8
 """It padded the scales to each side to a multiple of this many."""
 
@@ -25,21 +25,21 @@ def as_version_3(tracker):
     document["version"] = 3
     for name in ("anchor", "rival", "waited"):
         del document[name]
-    for name in SINCE:
+    for name in PREVIOUS_CONFIG:
         del document["config"][name]
-    if target.sizes:
+    if target.scale_model:
         del document["arrays"]["scale_mean"]
-        document["arrays"] |= scales_as_waves(target.sizes)
+        document["arrays"] |= scales_as_waves(target.scale_model)
     return document
 
 
-def scales_as_waves(sizes):
+def scales_as_waves(scale_model):
     """Cosine and sine sums beside each other and frequency 0 apart; of the energy, that one last."""
-    mean = sizes.mean.reshape(-1, sizes.mean.shape[-1])
-    waves, constant = mean[:, 1:], mean[:, 0].real
+    numerator = scale_model.numerator.reshape(-1, scale_model.numerator.shape[-1])
+    waves, constant = numerator[:, 1:], numerator[:, 0].real
     padding = -waves.shape[1] % LANES
     sums = [np.pad(part, ((0, 0), (0, padding))) for part in (waves.real, -waves.imag)]
-    energy = np.append(np.pad(sizes.energy[1:], (0, padding)), sizes.energy[0])
+    energy = np.append(np.pad(scale_model.energy[1:], (0, padding)), scale_model.energy[0])
     arrays = {"scale_waves": np.concatenate(sums, axis=1), "scale_sums": constant, "scale_energy": energy}
     return {name: packed(values) for name, values in arrays.items()}
 
@@ -58,9 +58,9 @@ def scales_as_waves(sizes):
     ],
     ids=repr,
 )
-@pytest.mark.parametrize("grey", [False, True])
-def test_the_version_before_is_read(changes, grey):
-    config, sequence = AS_BEFORE.replace(**changes), synthetic.clip("motion", grey=grey)
+@pytest.mark.parametrize("gray", [False, True])
+def test_the_version_before_is_read(changes, gray):
+    config, sequence = AS_BEFORE.replace(**changes), synthetic.clip("motion", gray=gray)
     tracker = MFCMT(config)
     for _ in tracker.track(sequence.frames[:13], sequence.boxes[0]):
         pass
@@ -71,8 +71,8 @@ def test_the_version_before_is_read(changes, grey):
     assert again["version"] == VERSION
     assert set(again["arrays"]) == set(msgpack.unpackb(tracker.to_bytes())["arrays"])
     if config.num_scales > 1:  # nothing is lost of these
-        assert np.array_equal(restored._target.sizes.mean, tracker._target.sizes.mean)
-        assert np.array_equal(restored._target.sizes.energy, tracker._target.sizes.energy)
+        assert np.array_equal(restored._target.scale_model.numerator, tracker._target.scale_model.numerator)
+        assert np.array_equal(restored._target.scale_model.energy, tracker._target.scale_model.energy)
     for frame in sequence.frames[13:20]:
         assert restored.update(frame) == tracker.update(frame)
     assert MFCMT.from_bytes(restored.to_bytes()).to_bytes() == restored.to_bytes()

@@ -20,7 +20,7 @@ def test_scene_has_frames_and_truth(name):
     assert len(sequence) == len(sequence.frames) == len(sequence.boxes) == len(sequence.shown) == 24
     for frame in sequence.frames[::6]:
         assert frame.dtype == np.uint8
-        assert frame.shape == ((height, width) if scene.grey else (height, width, 3))
+        assert frame.shape == ((height, width) if scene.gray else (height, width, 3))
         assert frame.flags.c_contiguous
         assert frame.std() > 15
     assert np.isfinite(sequence.boxes).all()

@@ -25,7 +25,7 @@ def model(**changes) -> TemplateModel:
     config = CONFIG.replace(**changes)
     window = SearchWindow(config, (60.0, 40.0))
     window.reach = (N // 2 - 1, N // 2 - 1)
-    return TemplateModel(config, window, grey=False)
+    return TemplateModel(config, window, is_gray=False)
 
 
 def spectra_of(features):
@@ -154,7 +154,7 @@ def test_label_is_a_gaussian_of_the_target_s_size(target, window):
     """Standard deviation 1/16 of √(wh), in cells, peak 1 at zero displacement."""
     config = MFCMTConfig.default().replace(window=window)
     search = SearchWindow(config, target)
-    m = TemplateModel(config, search, grey=False)
+    m = TemplateModel(config, search, is_gray=False)
     label = np.fft.irfft2(m.label_f, s=(search.cells, search.cells))
     assert label[0, 0] == pytest.approx(label.max(), abs=1e-6)
     assert label[0, 0] == pytest.approx(1, abs=1e-5)
@@ -193,7 +193,7 @@ def test_a_moved_patch_is_found_where_it_moved_to(pixels_at):
     """From pixels to displacement: 12 px of the patch are 3 cells."""
     config = MFCMTConfig.default().replace(background_interval=0)
     search = SearchWindow(config, (56.0, 44.0))
-    m = TemplateModel(config, search, grey=False)
+    m = TemplateModel(config, search, is_gray=False)
     m.learn(spectra_at(m, pixels_at(0, 0)))
     for dx, dy in PLACES:
         assert displacement(m, search.reach, pixels_at(dx, dy)) == (dx / 4, dy / 4)
@@ -204,7 +204,7 @@ def test_a_moved_patch_is_found_where_it_moved_to(pixels_at):
 def test_a_target_off_the_middle_is_learned_as_if_it_were_there(pixels_at, place, average):
     config = MFCMTConfig.default().replace(background_interval=0, average=average)
     search = SearchWindow(config, (56.0, 44.0))
-    m = TemplateModel(config, search, grey=False)
+    m = TemplateModel(config, search, is_gray=False)
     m.learn(spectra_at(m, pixels_at(*place)), (place[0] / 4, place[1] / 4))
     for dx, dy in PLACES:
         if abs(dx - place[0]) <= 12 and abs(dy - place[1]) <= 12:  # further apart the windows share too little
@@ -222,7 +222,7 @@ def test_an_offset_counts_from_the_middle_to_the_target(offset):
         np.testing.assert_allclose(moved, spectra_of(np.roll(noise(3, m.features.channels), 1, 2)), atol=1e-4)
     m.learn(moved, offset)
     other.learn(x.copy())
-    np.testing.assert_allclose(m.mean, other.mean, atol=1e-4)
+    np.testing.assert_allclose(m.numerator, other.numerator, atol=1e-4)
     np.testing.assert_allclose(m.denominator, other.denominator, rtol=1e-4)
 
 

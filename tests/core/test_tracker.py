@@ -63,7 +63,7 @@ def test_scale_follows_the_target():
     [*PRESETS.values(), DEFAULT.replace(scale_interval=1), DEFAULT.replace(scale_when_reliable=False, lost_after=0)],
     ids=["2", "paper", "1", "unreliable"],
 )
-def test_the_scale_is_searched_and_learned_in_every_so_many_th_learned_frame(config, monkeypatch):
+def test_the_scale_is_searched_and_learned_in_every_nth_learned_frame(config, monkeypatch):
     """Frames that nothing is learned from do not count; where they may search it, too, each does.
 
     A learned frame in doubt leaves it to the next, but not for longer than twice the interval.
@@ -91,8 +91,8 @@ def test_the_scale_is_searched_and_learned_in_every_so_many_th_learned_frame(con
         results.append(tracker.update(frame))
         learned += results[-1].updated
         waited += results[-1].updated
-        doubtful = tracker._target.reliability.doubtful
-        if results[-1].updated and waited >= config.scale_interval * (2 if doubtful else 1):
+        template_low = tracker._target.reliability.template_low
+        if results[-1].updated and waited >= config.scale_interval * (2 if template_low else 1):
             assert called == ["estimate", "learn"]
             waited = 0
         elif not (results[-1].updated or config.scale_when_reliable):
@@ -116,7 +116,7 @@ def test_an_occlusion_closes_the_gate():
 
 
 @pytest.mark.parametrize(
-    ("config", "grey"),
+    ("config", "gray"),
     [
         (DEFAULT.replace(lost_after=15), False),
         (ALERT, False),
@@ -125,8 +125,8 @@ def test_an_occlusion_closes_the_gate():
         (MFCMTConfig.paper().replace(lost_after=8), True),
     ],
 )
-def test_a_target_that_leaves_is_lost_and_found_again(config, grey):
-    sequence = synthetic.clip("leaves", grey=grey)
+def test_a_target_that_leaves_is_lost_and_found_again(config, gray):
+    sequence = synthetic.clip("leaves", gray=gray)
     tracker = MFCMT(config)
     results = []
     for index, frame in enumerate(sequence.frames):
@@ -189,10 +189,10 @@ def test_colours_alone_find_a_target_again():
 # --- targets and frames of every shape ---
 
 
-def drifting(size, seed=0, count=5, grey=False):
+def drifting(size, seed=0, count=5, gray=False):
     """Smooth noise of ``size`` (w, h) that moves by a pixel a frame."""
     rng = np.random.default_rng(seed)
-    channels = () if grey else (3,)
+    channels = () if gray else (3,)
     coarse = rng.integers(0, 256, (size[1] // 4 + 8, size[0] // 4 + 8, *channels), np.uint8)
     image = cv2.resize(coarse, (size[0] + 16, size[1] + 16), interpolation=cv2.INTER_CUBIC)
     return [np.ascontiguousarray(image[k : k + size[1], k : k + size[0]]) for k in range(count)]
@@ -237,8 +237,8 @@ def test_any_target_in_any_frame(size, box, preset):
     st.sampled_from([*PRESETS.values(), DEFAULT.replace(window="square"), DEFAULT.replace(features=())]),
     st.booleans(),
 )
-def test_every_box_that_is_taken_is_tracked(size, place, sides, config, grey):
-    frames = drifting(size, grey=grey, count=3)
+def test_every_box_that_is_taken_is_tracked(size, place, sides, config, gray):
+    frames = drifting(size, gray=gray, count=3)
     box = (place[0] * size[0], place[1] * size[1], *sides)
     try:
         MFCMT(config).init(frames[0], box)
@@ -269,10 +269,10 @@ def test_a_cut_to_another_scene_is_not_learned(frames, clip):
     assert result.scale == tracker.update(noise).scale
 
 
-def test_what_a_second_look_saw_is_learned_without_a_third(frames, clip, monkeypatch):
-    """Where a doubtful target was looked at once more, in the middle of its window, that window is at hand."""
+def test_a_recentered_window_is_learned_without_observing_it_again(frames, clip, monkeypatch):
+    """The tracker learns from the recentered window that it probed, where that fits, and gets the same results."""
     answers = itertools.cycle([True, False])
-    monkeypatch.setattr(Reliability, "doubts", lambda *_: next(answers))
+    monkeypatch.setattr(Reliability, "is_template_low", lambda *_: next(answers))
     monkeypatch.setattr(Observation, "is_central", lambda *_: False)
     observe, calls = Target.observe, []
 
@@ -284,7 +284,7 @@ def test_what_a_second_look_saw_is_learned_without_a_third(frames, clip, monkeyp
     results = track(DEFAULT, frames[::2], clip.boxes[0])
     looks = len(calls)
     calls.clear()
-    monkeypatch.setattr(Target, "would_see_again", lambda *_: False)
+    monkeypatch.setattr(Target, "can_reuse", lambda *_: False)
     assert track(DEFAULT, frames[::2], clip.boxes[0]) == results
     assert len(calls) > looks
 

@@ -27,10 +27,10 @@ def save(path, data):
 
 @pytest.mark.parametrize("kind", ["jpeg", "png", "webp"])
 @pytest.mark.parametrize("orientation", [1, 3, 6])
-@pytest.mark.parametrize("grey", [False, True])
-def test_as_the_service_reads_it(kind, orientation, grey, tmp_path):
+@pytest.mark.parametrize("gray", [False, True])
+def test_as_the_service_reads_it(kind, orientation, gray, tmp_path):
     """Always of three channels, with EXIF's turn or without."""
-    data = images.oriented(kind, PICTURE[:, :, 0] if grey else PICTURE, orientation)
+    data = images.oriented(kind, PICTURE[:, :, 0] if gray else PICTURE, orientation)
     image, _ = decode(data, FrameLimits())
     file = save(tmp_path / "picture", data)
     assert np.array_equal(read_image(file), image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))

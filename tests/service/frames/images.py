@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 
-def picture(width: int = 160, height: int = 120, *, grey: bool = False) -> npt.NDArray[np.uint8]:
+def picture(width: int = 160, height: int = 120, *, gray: bool = False) -> npt.NDArray[np.uint8]:
     """A smooth picture that no flip or turn maps onto itself."""
     y, x = np.mgrid[0:height, 0:width]
     planes = [x * 255 // width, y * 255 // height, (x + 2 * y) % 256]
-    return planes[0].astype(np.uint8) if grey else np.dstack(planes).astype(np.uint8)
+    return planes[0].astype(np.uint8) if gray else np.dstack(planes).astype(np.uint8)
 
 
 def encode(extension: str, image: npt.NDArray[np.uint8], *options: int) -> bytes:
@@ -24,8 +24,8 @@ def encode(extension: str, image: npt.NDArray[np.uint8], *options: int) -> bytes
     return data.tobytes()
 
 
-def jpeg(*options: int, width: int = 160, height: int = 120, grey: bool = False) -> bytes:
-    return encode(".jpg", picture(width, height, grey=grey), *options)
+def jpeg(*options: int, width: int = 160, height: int = 120, gray: bool = False) -> bytes:
+    return encode(".jpg", picture(width, height, gray=gray), *options)
 
 
 PROGRESSIVE = (cv2.IMWRITE_JPEG_PROGRESSIVE, 1)

@@ -27,7 +27,7 @@ def close(a: Image, b: Image, within: float = 3) -> bool:
     return a.shape == b.shape and float(np.abs(a.astype(int) - b).mean()) <= within
 
 
-@pytest.mark.parametrize("grey", [False, True])
+@pytest.mark.parametrize("gray", [False, True])
 @pytest.mark.parametrize(
     ("extension", "options", "within"),
     [
@@ -38,15 +38,15 @@ def close(a: Image, b: Image, within: float = 3) -> bool:
         (".webp", (64, 90), 4),
     ],
 )
-def test_kinds(extension: str, options: tuple[int, ...], within: float, grey: bool) -> None:
-    source = picture(grey=grey)
+def test_kinds(extension: str, options: tuple[int, ...], within: float, gray: bool) -> None:
+    source = picture(gray=gray)
     image, info = decode(encode(extension, source, *options), LIMITS)
-    if grey and extension == ".webp":  # WebP has no grey
+    if gray and extension == ".webp":  # WebP has no grey
         source = cv2.cvtColor(source, cv2.COLOR_GRAY2BGR)
     assert image.dtype == np.uint8
     assert image.flags.c_contiguous
     assert close(image, source, within)
-    assert info.grey == (image.ndim == 2)
+    assert info.gray == (image.ndim == 2)
 
 
 def test_deep_and_alpha() -> None:
@@ -87,10 +87,10 @@ def test_orientation(kind: str, orientation: int) -> None:
 
 
 @pytest.mark.parametrize("options", [(), images.PROGRESSIVE])
-@pytest.mark.parametrize("grey", [False, True])
-def test_truncated_with_an_end_glued_on(options: tuple[int, ...], grey: bool) -> None:
+@pytest.mark.parametrize("gray", [False, True])
+def test_truncated_with_an_end_glued_on(options: tuple[int, ...], gray: bool) -> None:
     """OpenCV alone makes a picture with grey fill of these."""
-    data = jpeg(*options, grey=grey)
+    data = jpeg(*options, gray=gray)
     for percent in range(5, 100, 5):
         with pytest.raises(FrameError) as error:
             decode(data[: (len(data) - 2) * percent // 100] + b"\xff\xd9", LIMITS)
@@ -189,7 +189,7 @@ def test_real_frames(otb_root: Path) -> None:
         theirs = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
         assert theirs is not None
         assert image.shape == theirs.shape
-        assert info.grey == (image.ndim == 2)
+        assert info.gray == (image.ndim == 2)
         assert float(np.abs(image.astype(int) - theirs).mean()) < 1
         seen += 1
     assert seen > 50

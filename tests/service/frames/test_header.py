@@ -31,7 +31,7 @@ def refused(data: bytes, limits: FrameLimits = LIMITS) -> str:
 SOUND = {
     "jpeg": (JPEG, FrameInfo("jpeg", 160, 120)),
     "progressive": (jpeg(*images.PROGRESSIVE), FrameInfo("jpeg", 160, 120)),
-    "grey": (jpeg(grey=True), FrameInfo("jpeg", 160, 120, grey=True)),
+    "grey": (jpeg(gray=True), FrameInfo("jpeg", 160, 120, gray=True)),
     "fill": (JPEG[:2] + b"\xff\xff\xff" + JPEG[2:], FrameInfo("jpeg", 160, 120)),
     "trailing": (JPEG + b"\0" * 100, FrameInfo("jpeg", 160, 120)),
     "two": (JPEG + JPEG, FrameInfo("jpeg", 160, 120)),
@@ -41,7 +41,7 @@ SOUND = {
     "stray-restart": (JPEG[:20] + b"\xff\xd0\xff\x01" + JPEG[20:], FrameInfo("jpeg", 160, 120)),
     "trailer-in-place-of-the-end": (JPEG[:-2] + b"SEFT", FrameInfo("jpeg", 160, 120)),
     "png": (PNG, FrameInfo("png", 160, 120)),
-    "grey-png": (encode(".png", picture(grey=True)), FrameInfo("png", 160, 120, grey=True)),
+    "grey-png": (encode(".png", picture(gray=True)), FrameInfo("png", 160, 120, gray=True)),
     "lossless": (WEBP, FrameInfo("webp", 160, 120)),
     "odd-lossless": (encode(".webp", picture(161, 121)), FrameInfo("webp", 161, 121)),
     "vp8x": (riff(vp8x(160, 120), WEBP[12:]), FrameInfo("webp", 160, 120)),
