@@ -10,8 +10,7 @@ Everything is painted by code, so nobody has rights in it, and everything follow
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from collections.abc import Sequence as SequenceABC
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, overload
@@ -68,7 +67,7 @@ SCENES = {
 """The scenes that :func:`clip` knows by name."""
 
 
-class Frames(SequenceABC[Image]):
+class Frames(Sequence[Image]):
     """The frames of a sequence, painted when they are asked for, in any order."""
 
     def __init__(self, length: int, draw: Callable[[int], Image]) -> None:
@@ -88,7 +87,7 @@ class Frames(SequenceABC[Image]):
 
 
 @dataclass(frozen=True, eq=False)
-class Sequence:
+class Clip:
     """Frames with their truth.
 
     ``frames``: ``uint8``, (H, W, 3) BGR or (H, W). ``boxes``: (N, 4) ``float64`` [x, y, w, h], 0-based and
@@ -125,14 +124,14 @@ class Sequence:
         )
 
 
-def clip(name: str = "sample", *, seed: int = 0, **changes: Any) -> Sequence:
+def clip(name: str = "sample", *, seed: int = 0, **changes: Any) -> Clip:
     """A named scene of :data:`SCENES`; ``changes`` are fields of :class:`Scene`, e.g. ``length=30``."""
     if name not in SCENES:
         raise ValueError(f"no scene {name!r}; there are {', '.join(SCENES)}")
     return render(replace(SCENES[name], **changes), seed=seed, name=name)
 
 
-def render(scene: Scene, *, seed: int = 0, name: str = "scene") -> Sequence:
+def render(scene: Scene, *, seed: int = 0, name: str = "scene") -> Clip:
     """The sequence of a scene. Raises ValueError for sizes or a length that leave nothing to see."""
     (width, height), (tw, th) = scene.size, scene.target
     if scene.length < 1 or min(width, height) < 16 or not 4 <= min(tw, th) <= max(tw, th) < max(width, height):
@@ -163,7 +162,7 @@ def render(scene: Scene, *, seed: int = 0, name: str = "scene") -> Sequence:
         image = cv2.add(frame, grain[top : top + height, left : left + width], dtype=cv2.CV_8U)
         return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if scene.gray else image, np.uint8)
 
-    return Sequence(name, Frames(scene.length, draw), boxes, _shown(scene, boxes, post_boxes))
+    return Clip(name, Frames(scene.length, draw), boxes, _shown(scene, boxes, post_boxes))
 
 
 def _phase(scene: Scene) -> Array:

@@ -10,7 +10,7 @@ from mfcmt_core import MFCMT, synthetic
 
 
 @pytest.fixture(scope="session")
-def clip() -> synthetic.Sequence:
+def clip() -> synthetic.Clip:
     """A plain sequence: 320×240, a textured plate of 56×44 that moves over a ground."""
     return synthetic.clip("motion")
 

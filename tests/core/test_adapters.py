@@ -11,7 +11,7 @@ from mfcmt_core import MFCMT, BadBox, BadImage, MFCMTConfig, NotInitialised, Tra
 
 
 @pytest.fixture(scope="module")
-def clip() -> synthetic.Sequence:
+def clip() -> synthetic.Clip:
     return synthetic.clip("motion", length=120)
 
 

@@ -23,7 +23,7 @@ SCRIPT = Path(sys.executable).with_name("mfcmt")
 
 
 @pytest.fixture(scope="module")
-def clip() -> synthetic.Sequence:
+def clip() -> synthetic.Clip:
     return synthetic.clip("motion")
 
 

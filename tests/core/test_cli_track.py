@@ -32,7 +32,7 @@ def one_based(results: list[TrackResult]) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def clip() -> synthetic.Sequence:
+def clip() -> synthetic.Clip:
     return synthetic.clip("motion", target=(56, 44))
 
 

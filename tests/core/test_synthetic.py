@@ -90,7 +90,7 @@ def test_balloon_fills_its_box():
 
 
 def test_each_scene_shows_what_its_name_says():
-    def area(s: synthetic.Sequence) -> np.ndarray:
+    def area(s: synthetic.Clip) -> np.ndarray:
         return s.boxes[:, 2:].prod(axis=1)
 
     assert area(synthetic.clip("scale")).max() == pytest.approx(56 * 44 * 1.5**2, rel=0.01)
