@@ -1,103 +1,15 @@
-"""JSON and MessagePack from outside, to plain values: bounded in depth, width and so in time."""
+"""JSON and MessagePack, under the name that this module had; see ``service.protocol.documents``."""
 
 from __future__ import annotations
 
-import base64
-import json
-from typing import Any, NoReturn
+from ..protocol.documents import (
+    MAX_ITEMS_IN_ALL,
+    MAX_TEXT_BYTES,
+    Unreadable,
+    from_json,
+    from_msgpack,
+    to_json,
+    to_msgpack,
+)
 
-import msgpack
-
-MAX_ITEMS = 256
-MAX_KEYS = 32
-MAX_ITEMS_IN_ALL = 2048
-MAX_TEXT_BYTES = 64 * 1024
-
-
-class Unreadable(Exception):
-    """The bytes are not a document of this format."""
-
-
-def from_json(text: str | bytes) -> Any:
-    """The value of a JSON document (RFC 8259: no NaN, no doubled keys). Raises Unreadable.
-
-    What could have too many items is refused unread; a comma in a text counts too.
-    """
-    if len(text) > MAX_ITEMS_IN_ALL:
-        comma, opening = (b",", (b"[", b"{")) if isinstance(text, bytes) else (",", ("[", "{"))
-        if text.count(comma) + sum(map(text.count, opening)) > MAX_ITEMS_IN_ALL:  # type: ignore[arg-type]
-            raise Unreadable("too many items")
-    try:
-        return json.loads(text, parse_constant=_refuse, object_pairs_hook=_unique)
-    except (ValueError, RecursionError) as broken:
-        raise Unreadable("not a JSON document") from broken
-
-
-def from_msgpack(data: bytes | memoryview) -> Any:
-    """The value of a MessagePack document without extension types. Raises Unreadable.
-
-    Items of containers are counted as they are read: what is too wide or too deep is refused on the way.
-    """
-    budget = _Budget()
-    try:
-        return msgpack.unpackb(
-            data,
-            raw=False,
-            strict_map_key=True,
-            max_str_len=MAX_TEXT_BYTES,
-            max_array_len=MAX_ITEMS,
-            max_map_len=MAX_KEYS,
-            max_ext_len=0,
-            ext_hook=_refuse,
-            list_hook=budget.items,
-            object_pairs_hook=budget.pairs,
-        )
-    except (ValueError, TypeError, msgpack.UnpackException) as broken:
-        raise Unreadable("not a MessagePack document") from broken
-
-
-def to_json(value: Any) -> str:
-    """One line of JSON; bytes become base64."""
-    return json.dumps(value, separators=(",", ":"), default=_base64, allow_nan=False)
-
-
-def to_msgpack(value: Any) -> bytes:
-    """MessagePack."""
-    packed: bytes = msgpack.packb(value)
-    return packed
-
-
-def _base64(value: object) -> str:
-    if isinstance(value, bytes):
-        return base64.b64encode(value).decode()
-    raise TypeError(f"{type(value).__name__} is not of the protocol")
-
-
-def _refuse(*_: Any) -> NoReturn:
-    raise ValueError("not allowed here")
-
-
-def _unique(pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
-    value = dict(pairs)
-    if len(value) != len(pairs):
-        raise ValueError("a key is doubled")
-    return value
-
-
-class _Budget:
-    """Items that one document may still have, in all its containers together."""
-
-    __slots__ = ("_left",)
-
-    def __init__(self) -> None:
-        self._left = MAX_ITEMS_IN_ALL
-
-    def items(self, items: list[Any]) -> list[Any]:
-        self._left -= len(items)
-        if self._left < 0:
-            raise ValueError("too many items")
-        return items
-
-    def pairs(self, pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
-        self.items(pairs)
-        return _unique(pairs)
+__all__ = ["MAX_ITEMS_IN_ALL", "MAX_TEXT_BYTES", "Unreadable", "from_json", "from_msgpack", "to_json", "to_msgpack"]

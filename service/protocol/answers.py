@@ -1,0 +1,298 @@
+"""What the service sends: answers of HTTP calls, and the messages of a stream.
+
+A class with a ``TYPE`` is a message of a stream, whose map begins with it. Fields in ``OPTIONAL`` are left out where
+they are None. Clients ignore fields that they do not know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from datetime import datetime
+from functools import cache
+from typing import Any, ClassVar
+
+from .enums import HealthStatus, Mode, Preset
+from .target import Target
+from .values import ECHO_SAID, REF_SAID, REGION_SAID, SEQ_SAID, Echo, Region, Seq, Size
+
+
+def _never_null(schema: dict[str, Any]) -> None:
+    """Leave null out of a field's schema: the service always has a value, a client may have none."""
+    schema |= schema.pop("anyOf")[0]
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """Where the service spent its time, in milliseconds of the monotonic clock."""
+
+    queue_ms: float = field(metadata={"ge": 0})
+    decode_ms: float = field(metadata={"ge": 0})
+    track_ms: float = field(metadata={"ge": 0})
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What the trackers found in one frame.
+
+    ``dropped`` counts the frames of this attachment that newer ones superseded since its previous result. A result
+    that a client fetched from the trajectory after a reconnect has no ``timing``.
+    """
+
+    TYPE: ClassVar = "result"
+
+    seq: Seq = field(metadata=SEQ_SAID)
+    ts: Echo | None = field(metadata=ECHO_SAID)
+    size: Size
+    dropped: int = field(metadata={"ge": 0, "description": "frames superseded since the previous result"})
+    region: Region | None = field(metadata=REGION_SAID)
+    targets: tuple[Target, ...]
+    timing: Timing | None = field(metadata={"json_schema_extra": _never_null})
+
+    @property
+    def target(self) -> Target:
+        """The first target."""
+        return self.targets[0]
+
+
+@dataclass(frozen=True, slots=True)
+class PastResult:
+    """One tracked frame of the past."""
+
+    seq: Seq = field(metadata=SEQ_SAID)
+    ts: Echo | None = field(metadata=ECHO_SAID)
+    size: Size
+    region: Region | None = field(metadata=REGION_SAID)
+    targets: tuple[Target, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Tracked frames by rising `seq`; the newest one as corrections left it."""
+
+    id: str
+    results: tuple[PastResult, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class StreamAddress:
+    """Where frames are streamed to."""
+
+    url: str
+    attached: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SessionInfo:
+    """A session as it is now; `seq` is the last frame tracked."""
+
+    id: str
+    created_at: datetime
+    expires_at: datetime
+    label: str | None
+    preset: str = field(metadata={"json_schema_extra": {"enum": [preset.value for preset in Preset]}})
+    size: Size
+    seq: Seq = field(metadata=SEQ_SAID)
+    region: Region | None = field(metadata=REGION_SAID)
+    targets: tuple[Target, ...]
+    stream: StreamAddress
+
+    @property
+    def stream_url(self) -> str:
+        """Where frames are streamed to."""
+        return self.stream.url
+
+    @property
+    def attached(self) -> bool:
+        """Whether a stream is attached."""
+        return self.stream.attached
+
+
+@dataclass(frozen=True, slots=True)
+class SessionPage:
+    """The caller's sessions, oldest first; `next` goes into `after`."""
+
+    sessions: tuple[SessionInfo, ...]
+    next: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class TargetChange:
+    """A target that was added or corrected, and the region that is needed from now on."""
+
+    target: Target
+    region: Region | None = field(metadata=REGION_SAID)
+
+
+@dataclass(frozen=True, slots=True)
+class Ticket:
+    """One handshake: offer the subprotocol `mfcmt.ticket.TICKET` beside the one you speak."""
+
+    ticket: str
+    expires_at: datetime
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """The first message of the service, once.
+
+    ``credit`` is None in ``latest``. ``attachment`` lets its owner, and nobody else, end this attachment when its
+    connection has died. ``lost_after`` is set after a breakdown of the service: what the session learned from later
+    frames is lost.
+    """
+
+    TYPE: ClassVar = "ready"
+
+    session: SessionInfo
+    mode: Mode
+    credit: int | None = field(metadata={"description": "unanswered frames allowed; null in `latest`"})
+    region_lag: int = field(metadata={"ge": 0, "description": "frames in flight that regions leave room for"})
+    next_seq: Seq = field(metadata={"description": "the number that the next frame takes", "examples": [17]})
+    attachment: str = field(metadata={"description": "name of this attachment, for `resume`"})
+    lost_after: Seq | None = field(
+        default=None,
+        metadata={
+            "description": "after a breakdown of the service, until a frame is tracked: the last frame that the session"
+            " knows; what it learned from later ones is lost"
+        },
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ProblemDocument:
+    """An RFC 9457 problem, with the code that programs decide by."""
+
+    type: str
+    title: str
+    status: int = field(metadata={"ge": 400, "le": 599})
+    detail: str
+    code: str
+    retry_after_s: float = field(default=0, metadata={"ge": 0})
+
+
+@dataclass(frozen=True, slots=True)
+class Error:
+    """A message was refused and nothing changed; the stream goes on."""
+
+    TYPE: ClassVar = "error"
+    OPTIONAL: ClassVar = ("seq", "ref")
+
+    problem: ProblemDocument
+    seq: Seq | None = field(default=None, metadata=SEQ_SAID)
+    ref: Echo | None = field(default=None, metadata=REF_SAID)
+
+
+@dataclass(frozen=True, slots=True)
+class Targets:
+    """The targets after a control, or after a change over HTTP."""
+
+    TYPE: ClassVar = "targets"
+    OPTIONAL: ClassVar = ("ref",)
+
+    ref: Echo | None = field(default=None, kw_only=True, metadata=REF_SAID)
+    region: Region | None = field(metadata=REGION_SAID)
+    targets: tuple[Target, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Draining:
+    """The server is going away; where sessions outlive it, they are resumed under the same id."""
+
+    TYPE: ClassVar = "draining"
+
+    reconnect_in_s: float = field(metadata={"ge": 0})
+    resumable: bool = field(metadata={"description": "sessions outlive the process, which has a state directory"})
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the service accepts."""
+
+    max_frame_bytes: int
+    max_frame_pixels: int
+    max_frame_side_px: int
+    max_frame_scans: int
+    max_frame_scan_pixels: int
+    max_json_frame_bytes: int
+    max_body_bytes: int
+    max_snapshot_bytes: int
+    max_targets_per_session: int
+    max_sessions_per_key: int
+    max_streams_per_key: int
+    max_trajectory_bytes: int
+    idle_timeout_s: float
+    max_idle_timeout_s: float
+    attached_idle_timeout_s: float
+    max_session_s: float
+    operation_deadline_s: float
+    credit_frames: int
+    region_lag_frames: int
+    max_messages_per_s: float
+    max_requests_per_s: float
+    max_frames_per_s_per_key: float
+    max_frame_bytes_per_s_per_key: float
+    ticket_s: float
+    max_ticket_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Capabilities:
+    """What this service can do."""
+
+    protocol: int = field(metadata={"description": "version of the wire protocol"})
+    subprotocols: tuple[str, ...]
+    modes: tuple[str, ...]
+    presets: tuple[str, ...]
+    image_types: tuple[str, ...]
+    trajectory_formats: tuple[str, ...]
+    snapshot_versions: tuple[int, ...]
+    limits: Limits
+    software: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """Whether the process lives, or takes work."""
+
+    status: HealthStatus
+    lanes_ready: int
+    lanes: int
+
+
+STREAM_MESSAGES = (Ready, Result, Error, Targets, Draining)
+"""The messages that a client of a stream may receive, by the order of their first appearance."""
+
+
+@cache
+def field_names(kind: type) -> tuple[str, ...]:
+    """Return the names of a message's fields, in the order in which they are sent."""
+    return tuple(one.name for one in fields(kind))
+
+
+def message(kind: type, /, **values: Any) -> dict[str, Any]:
+    """Return the map of a message or answer, in the order of its definition.
+
+    Parameters
+    ----------
+    kind
+        The class that defines it.
+    **values
+        Every field: plain values, and maps for what is nested. Fields in ``OPTIONAL`` that are None are left out.
+
+    Raises
+    ------
+    KeyError
+        A field is missing.
+    """
+    sent: dict[str, Any] = {} if (tag := getattr(kind, "TYPE", None)) is None else {"type": tag}
+    optional: Sequence[str] = getattr(kind, "OPTIONAL", ())
+    for name in field_names(kind):
+        value = values[name]
+        if value is not None or name not in optional:
+            sent[name] = value
+    return sent
+
+
+def instant(moment: datetime) -> str:
+    """Return an instant as it is sent: RFC 3339, UTC, milliseconds."""
+    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")

@@ -1,0 +1,119 @@
+"""A target in one frame: as an object, as the map of a message, and as the row that lanes send and stores keep.
+
+A row is the list of the fields' values, in the order of the definition and without ``maps``. A field that is added
+goes after the last one of the row and has a default: rows that were kept before are read with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, astuple, dataclass, field, fields
+from typing import Any, ClassVar
+
+from .enums import Status
+from .values import BOX_SAID, Box
+
+Row = list[Any]
+
+
+def _in_json(schema: dict[str, Any]) -> None:
+    """Describe images as they are in JSON, base64 and not bytes."""
+    schema["anyOf"][0]["additionalProperties"] = {"type": "string"}
+
+
+@dataclass(frozen=True, slots=True)
+class Flags:
+    """The three tests of section III-C."""
+
+    fused: bool
+    template: bool
+    statistical: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """Each peak over its mean of the last 10 frames."""
+
+    fused: float
+    template: float
+    statistical: float
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Where a target is and how far to trust it.
+
+    ``reliable``, ``flags``, ``scores`` and ``psr`` are None on the frame that started or corrected the target.
+    """
+
+    OPTIONAL: ClassVar = ("maps",)
+
+    id: int = field(metadata={"ge": 0, "description": "unique in the session; the first is 0"})
+    box: Box = field(metadata=BOX_SAID)
+    status: Status
+    reliable: bool | None = field(
+        metadata={"description": "all three flags; null on the frame that started the target"}
+    )
+    flags: Flags | None
+    scores: Scores | None
+    psr: float | None = field(metadata={"description": "peak-to-sidelobe ratio of the fused map"})
+    updated: bool = field(metadata={"description": "whether the models learned from this frame"})
+    scale: float = field(metadata={"gt": 0, "description": "size relative to the box given"})
+    # What is added goes here, with a default.
+    maps: Mapping[str, bytes] | None = field(
+        default=None,
+        metadata={
+            "description": "response maps as grey PNG, base64 in JSON, where `maps` was asked for",
+            "json_schema_extra": _in_json,
+        },
+    )
+
+
+ROW_FIELDS = tuple(one.name for one in fields(Target) if one.name != "maps")
+"""The names of a row's values."""
+_DEFAULTS = tuple(None if one.default is MISSING else one.default for one in fields(Target) if one.name != "maps")
+_PARTS: dict[str, type[Flags] | type[Scores]] = {"flags": Flags, "scores": Scores}
+_PART_NAMES = {name: tuple(one.name for one in fields(part)) for name, part in _PARTS.items()}
+
+
+def to_row(target: Target) -> Row:
+    """Return the row of ``target``; its maps are not in it."""
+    values = {name: getattr(target, name) for name in ROW_FIELDS}
+    for name in _PARTS:
+        values[name] = values[name] and astuple(values[name])
+    return list(values.values())
+
+
+def from_row(row: Sequence[Any]) -> Target:
+    """Return the target of a row, which may be older than the newest fields."""
+    values = dict(zip(ROW_FIELDS, complete(row), strict=True))
+    for name, part in _PARTS.items():
+        values[name] = values[name] and part(*values[name])
+    values["box"] = tuple(values["box"])
+    values["status"] = Status(values["status"])
+    return Target(**values)
+
+
+def complete(row: Sequence[Any]) -> Row:
+    """Return ``row`` with the defaults of the fields that were added after it was written."""
+    return [*row, *_DEFAULTS[len(row) :]]
+
+
+def row_to_map(row: Row, maps: Mapping[str, bytes] | None = None) -> dict[str, Any]:
+    """Return the Target of a message. This happens for every target of every frame."""
+    if len(row) < len(ROW_FIELDS):
+        row = complete(row)
+    target = dict(zip(ROW_FIELDS, row, strict=False))
+    for name, parts in _PART_NAMES.items():
+        if values := target[name]:
+            target[name] = dict(zip(parts, values, strict=True))
+    if maps is not None:
+        target["maps"] = maps
+    return target
+
+
+def rows_to_maps(rows: Sequence[Row], maps: Sequence[Mapping[str, bytes]] | None = None) -> list[dict[str, Any]]:
+    """Return the Targets of a message, each with its response maps where there are any."""
+    if maps is None:
+        return [row_to_map(row) for row in rows]
+    return [row_to_map(row, images) for row, images in zip(rows, maps, strict=True)]
