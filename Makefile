@@ -9,6 +9,8 @@ PEERS := .venv-peers/.installed
 DATA ?= $(or $(MFCMT_OTB_ROOT),../shared/data/otb)
 PUBLISHED ?= $(wildcard $(dir $(DATA:/=))published)
 PROTOCOL ?= ope,tre,sre
+# The tests of a file share its servers, so they run in one process. TESTS="-n 0" runs all in this one.
+PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 LOCK := uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q -U
 
 .PHONY: help setup warmup serve demo test test-fast fresh lint lock bench peers bench-peers eval reproduce guide clean
@@ -37,11 +39,11 @@ serve: warmup  ## run the tracking service on http://127.0.0.1:8000
 demo: warmup  ## open the page in the browser, with the sample clip running
 	@$(BIN)/mfcmt demo
 
-test: $(DEVELOPMENT) warmup  ## run the tests; TESTS="tests/core -k geometry" for some
-	$(BIN)/python -m pytest $(TESTS)
+test: $(DEVELOPMENT) warmup  ## run the tests, a process on each core; TESTS="tests/core -k geometry" for some
+	$(PYTEST) $(TESTS)
 
 test-fast: $(DEVELOPMENT) warmup  ## run the tests of every part that need no minute
-	$(BIN)/python -m pytest -m "not slow and not docker" $(TESTS)
+	$(PYTEST) -m "not slow and not docker" $(TESTS)
 
 fresh:  ## run both commands in a new minimal Debian (SUITE=trixie); as root, needs debootstrap
 	.ci/fresh $(SUITE)
