@@ -1,0 +1,1 @@
+"""Exchanges with real servers, recorded once, that every later version must answer byte for byte."""
