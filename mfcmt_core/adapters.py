@@ -1,4 +1,4 @@
-"""The tracker behind the interfaces of other toolkits. None of them is imported: shape is enough."""
+"""The tracker behind the interfaces of other toolkits, none of which is imported."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from .tracker import MFCMT
 
 
 class OpenCVTracker:
-    """In place of ``cv2.TrackerCSRT``: ``create()``, ``init(image, box)``, ``update(image)``.
+    """A drop-in for OpenCV's trackers, such as ``cv2.TrackerCSRT``: ``create()``, ``init()`` and ``update()``.
 
-    Two differences, both wanted: boxes may be floats and come back as floats, and while the target is lost
+    It differs in two points on purpose: boxes may be floats and come back as floats, and while the target is lost
     the box is the last known one instead of zeros.
     """
 
@@ -31,24 +31,24 @@ class OpenCVTracker:
 
     @classmethod
     def create(cls, config: MFCMTConfig | None = None) -> Self:
-        """As OpenCV's factories; ``config`` takes the place of their ``Params``."""
+        """Return a tracker, as OpenCV's factories do. ``config`` takes the place of their ``Params``."""
         return cls(config)
 
     def init(self, image: Image, boundingBox: Iterable[float]) -> None:
-        """Start on (x, y, w, h), 0-based px of a BGR or grey ``uint8`` image. Raises BadBox, BadImage."""
+        """Start on (x, y, w, h), 0-based pixels of a BGR or gray ``uint8`` image. Raises BadBox or BadImage."""
         self.tracker.init(image, boundingBox)
 
     def update(self, image: Image) -> tuple[bool, Box]:
-        """``(ok, (x, y, w, h))``; not ``ok`` while the target is lost. Raises NotInitialised, BadImage."""
+        """Return ``(ok, (x, y, w, h))``. ``ok`` is False while it is lost. Raises NotInitialised or BadImage."""
         result = self.tracker.update(image)
         return result.status != "lost", result.box
 
 
 class Got10kTracker:
-    """What the got10k toolkit's experiments run: its ``Tracker`` in shape, not by inheritance.
+    """A tracker that the experiments of the got10k toolkit can run. It has the methods of their ``Tracker``.
 
-    Images are ``PIL.Image`` (or RGB arrays). The toolkit hands out boxes as the annotation files have them:
-    1-based for OTB, for which ``origin=1`` takes 1 off on the way in and adds it on the way out.
+    Images are ``PIL.Image`` or RGB arrays. The toolkit passes boxes as the annotation files have them. Those of OTB are
+    1-based: ``origin=1`` subtracts 1 from given boxes and adds it to returned ones.
     """
 
     is_deterministic = True
@@ -59,11 +59,11 @@ class Got10kTracker:
         self._origin = np.array([origin, origin, 0, 0])
 
     def init(self, image: Any, box: npt.ArrayLike) -> None:
-        """Start on ``box`` [x, y, w, h] of an RGB image. Raises BadBox, BadImage."""
+        """Start on ``box`` [x, y, w, h] of an RGB image. Raises BadBox or BadImage."""
         self.tracker.init(_bgr(image), np.asarray(box, float) - self._origin)
 
     def update(self, image: Any) -> npt.NDArray[np.float64]:
-        """The box [x, y, w, h] in the next RGB image, (4,)."""
+        """Return the box [x, y, w, h] in the next RGB image, (4,) float64."""
         return self.tracker.update(_bgr(image)).box + self._origin
 
     def track(
@@ -72,7 +72,7 @@ class Got10kTracker:
         box: npt.ArrayLike,
         visualize: bool = False,  # noqa: ARG002 - the toolkit passes it; nothing is shown
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Follow ``box`` through files: boxes (N, 4), and seconds (N,) without reading and decoding."""
+        """Track ``box`` through image files. Return boxes (N, 4), and seconds (N,) without reading and decoding."""
         boxes, seconds = np.empty((len(img_files), 4)), np.empty(len(img_files))
         for i, path in enumerate(img_files):
             try:
@@ -87,13 +87,20 @@ class Got10kTracker:
 
 
 def xyxy(result: TrackResult) -> npt.NDArray[np.float32]:
-    """The box as one row [x1, y1, x2, y2], (1, 4): ``supervision.Detections(xyxy=xyxy(result))``."""
+    """Return the box as one row [x1, y1, x2, y2], (1, 4) float32, as ``supervision.Detections`` takes it.
+
+    Examples
+    --------
+    >>> from mfcmt_core import TrackResult
+    >>> xyxy(TrackResult((10.0, 20.0, 30.0, 40.0), "tracking", None, None, None, None, True, 1.0)).tolist()
+    [[10.0, 20.0, 40.0, 60.0]]
+    """
     x, y, w, h = result.box
     return np.array([[x, y, x + w, y + h]], np.float32)
 
 
 def _bgr(image: Any) -> Image:
-    """Grey stays grey; RGB is turned round; a palette or alpha is resolved by PIL."""
+    """Return the image as BGR or gray ``uint8``. PIL resolves a palette or an alpha channel."""
     if getattr(image, "mode", "RGB") not in ("RGB", "L"):
         image = image.convert("RGB")
     pixels = np.asarray(image)

@@ -1,10 +1,14 @@
-"""The background-aware template filter: what is learned stays inside the target's box.
+"""The background-aware template filter: a correlation filter that is zero outside the target's box.
 
-A correlation filter over the whole search window learns the surroundings along with the target. This one is
-the least-squares filter over every shift of the window among those that are zero outside the target's box
-(Kiani Galoogahi, Fagg & Lucey, "Learning Background-Aware Correlation Filters", ICCV 2017), found by the
-alternating direction method of multipliers: everything outside the box becomes a negative example.
-It errs elsewhere than the filter of equation 2, and so the two are worth more together than either alone.
+A correlation filter over the whole search window learns the surroundings along with the target. This filter minimizes
+the squared error over all shifts of the window among the filters that are zero outside the box, so that everything
+outside becomes a negative example. The alternating direction method of multipliers (ADMM) finds it. Its errors differ
+from those of the filter of equation 2, so the two together are better than either alone.
+
+References
+----------
+H. Kiani Galoogahi, A. Fagg and S. Lucey, "Learning Background-Aware Correlation Filters for Visual Tracking",
+ICCV 2017, arXiv:1703.04590.
 """
 
 from __future__ import annotations
@@ -19,16 +23,17 @@ from .kernels.template import energy
 from .workspace import scratch
 
 PENALTIES = (1.0, 10.0)
-"""ADMM's penalty in each of its iterations; the paper's schedule, which two iterations take far enough.
+"""The penalty of ADMM in each iteration, as in that paper. Two iterations are enough.
 
-Only the first training starts from nothing. A later one goes on where the last has ended, with the last penalty:
-the target has changed by less than what one iteration mends."""
+Only the first training starts from zero. Later ones make one more iteration with the last penalty: the target has
+changed by less than one iteration corrects."""
 
 
 class BackgroundAwareFilter:
-    """``filters`` (channels, n, n // 2 + 1) complex64, applied as those of equation 3 are.
+    """Trains the background-aware filters of one target.
 
-    ``unmasked`` is what they were masked from, times the penalty and with the multiplier.
+    ``filters`` (channels, n, n // 2 + 1) complex64 are applied as in equation 3. ``unmasked``, of the same shape, are
+    the filters before the mask, times the penalty and plus the multiplier: the state of ADMM.
     """
 
     def __init__(self, search_window: SearchWindow, channels: int, label_f: Spectra, regularization: float) -> None:
@@ -48,7 +53,7 @@ class BackgroundAwareFilter:
         self.columns = np.ascontiguousarray(waves.reshape(2 * half, -1).T, np.float32)
 
     def train(self, mean_spectra: Spectra, first: bool = False) -> None:
-        """Solve for the running ``mean_spectra`` of the target's spectra, (channels, n, n // 2 + 1) complex64."""
+        """Train the filters on the mean of the target's spectra, (channels, n, n // 2 + 1) complex64."""
         power = scratch("background_power", mean_spectra.shape[1:])
         energy(mean_spectra, self.all_channels, power)
         power /= mean_spectra.shape[1] ** 2
@@ -63,7 +68,7 @@ class BackgroundAwareFilter:
             last_penalty = penalty
 
     def _masked(self, spectra: Spectra) -> Spectra:
-        """The spectra of what ``spectra`` have inside the target's box."""
+        """Return the spectra of the part of ``spectra`` that lies inside the target's box."""
         channels, n, half = spectra.shape
         by_rows = scratch("background_rows", (n, channels, half), np.complex64)
         by_rows[:] = spectra.transpose(1, 0, 2)  # one product for all channels
@@ -74,6 +79,6 @@ class BackgroundAwareFilter:
 
 
 def _middle(cells: int, side: float) -> npt.NDArray[np.int64]:
-    """The cells of a side that the target takes."""
+    """Return the indices of the middle cells, of ``cells`` along a side, that the target takes."""
     count = max(1, round(side))
     return np.arange(count) + (cells - count) // 2

@@ -1,4 +1,4 @@
-"""The statistical model: colour histograms of foreground and background (equations 4–7)."""
+"""The statistical model: color histograms of foreground and background (equations 4–7)."""
 
 from __future__ import annotations
 
@@ -16,28 +16,34 @@ Rectangle = tuple[int, int, int, int]
 """``(top, left, bottom, right)`` in pixels of the patch."""
 
 BINS = 32
-"""Bins a channel (section IV-A)."""
+"""Number of bins per channel (section IV-A)."""
 MAX_DECAY_SCALE = np.float32(1e9)
-"""Of the histograms; beyond it they are scaled back to 1."""
+"""Largest decay scale; beyond it the histograms are rescaled."""
 BAND_FRACTION = 0.1
-"""Width of the band around a box, of the box's sides."""
+"""Width of the band around a box, as a fraction of the box's sides."""
 MIN_MASS = 1e-12
-"""Part of both regions from which on a colour counts as seen then."""
+"""Smallest mass of a bin, in both histograms together, for its color to count as observed."""
 
 
 class ColorModel:
-    """Says of each pixel how likely its colour belongs to the target, and where a box of such pixels lies.
+    """Rates how likely each pixel's color belongs to the target, and finds the box with the likeliest pixels.
 
-    Equation 7's mean over a box is as high wherever the box lies inside a larger region of such colours. So a part of
-    the mean over a band around the box is taken from it: a box that holds the target has none of it around.
+    Equation 7, the mean over a box, is equally high wherever the box lies inside a larger region of such colors.
+    Therefore a fraction of the mean over a band around the box is subtracted: around the target there are other colors.
 
-    The foreground is the middle 85 % of the target's sides, the background the window outside the whole
-    target; the ring between belongs to neither. Each histogram has sum 1, which makes equation 6 the
-    regression of equation 5 with its two terms normalised by area. A grey sequence has one axis of bins.
+    The foreground is the middle 85 % of the target's sides. The background is the window outside the target. The ring
+    between belongs to neither. Each histogram has sum 1, so that equation 6 is the regression of equation 5 with both
+    terms normalized by area. A gray sequence has one axis of bins.
 
-    ``histograms`` (bins, 2) float32, foreground and background, are kept times ``decay_scale``: where the rest would
-    fade by 1 - η, what is new counts the more instead. Equation 6 does not see a common factor, and of thousands
-    of bins only those have to be touched that a patch shows.
+    ``histograms`` (bins, 2) float32 hold foreground and background, multiplied by ``decay_scale``. Instead of decaying
+    every bin by 1 - η in every frame, new counts are weighted by ``decay_scale``, which grows by 1 / (1 - η) per frame
+    (lazy decay). Equation 6 is a ratio and cancels the factor, and only the bins that a patch shows are touched.
+
+    References
+    ----------
+    L. Bertinetto, J. Valmadre, S. Golodetz, O. Miksik and P. H. S. Torr, "Staple: Complementary Learners for Real-Time
+    Tracking", CVPR 2016, arXiv:1512.01355. H. Possegger, T. Mauthner and H. Bischof, "In Defense of Color-based
+    Model-free Tracking", CVPR 2015, doi:10.1109/CVPR.2015.7298823.
     """
 
     def __init__(self, config: MFCMTConfig, search_window: SearchWindow, is_gray: bool) -> None:
@@ -62,9 +68,10 @@ class ColorModel:
         self.rows = np.clip((side - bh) // 2 + steps_y, 0, side - bh)
 
     def respond(self, bins: Bins, out: npt.NDArray[np.float32]) -> None:
-        """How much likelier the colours of the target's box are than those around it, at each displacement.
+        """Write to ``out`` how much likelier the colors in the target's box are than those around it.
 
-        Into ``out`` (2·ry + 1, 2·rx + 1), from -weight of the surroundings to 1.
+        ``bins`` (H, W) uint16 are those of :meth:`bins`. ``out`` (2·ry + 1, 2·rx + 1) float32 has a value per
+        displacement, from -``surroundings_weight`` to 1.
         """
         height, width = bins.shape
         integral = scratch("integral", (height + 1, width + 1))
@@ -74,19 +81,19 @@ class ColorModel:
         )  # fmt: skip
 
     def learn(self, bins: Bins, offset: tuple[float, float] = (0, 0), first: bool = False) -> None:
-        """Move both histograms towards those of a patch of the target (equation 11), ``offset`` (x, y) cells off it."""
+        """Learn the histograms of a window whose middle is ``offset`` (x, y) cells from the target (equation 11)."""
         rate = np.float32(1) if first else self.rate
         self._decay(np.float32(1) - rate)
         dx, dy = round(offset[0] * CELL), round(offset[1] * CELL)
         shown = scratch("colors_shown", (bins.size,), np.uint16)
-        counts = scratch("color_counts", self.lookup.shape, np.int64)  # nobody else's: always zero
+        counts = scratch("color_counts", self.lookup.shape, np.int64)  # used here alone, and always left zero
         learn_colors(
             bins, self.inner, self.outer, dx, dy, rate, self.decay_scale[0], self.unseen, shown, counts,
             self.histograms, self.lookup,
         )  # fmt: skip
 
     def _decay(self, keep: np.float32) -> None:
-        """Multiply what is known by ``keep``."""
+        """Multiply the learned histograms by ``keep``."""
         if keep * MAX_DECAY_SCALE > self.decay_scale[0]:
             self.decay_scale /= keep
             return
@@ -96,11 +103,11 @@ class ColorModel:
         self.refresh()
 
     def refresh(self) -> None:
-        """Compute the look-up table from the histograms."""
+        """Compute the look-up table of likelihoods from the histograms."""
         tabulate(self.histograms, self.unseen, self.lookup)
 
     def bins(self, patch: Image) -> Bins:
-        """The histogram bin of each pixel of ``patch`` (H, W[, 3]), (H, W) uint16."""
+        """Return the histogram bin of each pixel of ``patch`` (H, W) or (H, W, 3): an array (H, W) uint16."""
         if not self.is_gray:  # five bits of each of red, green and blue, red lowest
             return cv2.cvtColor(patch, cv2.COLOR_RGB2BGR555).view(np.uint16)[..., 0]
         bins = np.empty(patch.shape, np.uint16)
@@ -109,7 +116,7 @@ class ColorModel:
 
 
 def _centered(side: int, width: float, height: float) -> Rectangle:
-    """A centred box of at least one pixel in a square patch."""
+    """Return a centered box of at least one pixel in a square patch."""
     w, h = min(max(round(width), 1), side), min(max(round(height), 1), side)
     top, left = (side - h) // 2, (side - w) // 2
     return top, left, top + h, left + w

@@ -1,4 +1,4 @@
-"""Every parameter of the tracker, with its meaning and its place in the paper."""
+"""The parameters of the tracker: what each means, and where the paper has it."""
 
 from __future__ import annotations
 
@@ -13,109 +13,124 @@ WindowShape = Literal["target", "context", "square"]
 
 @dataclass(frozen=True, slots=True)
 class MFCMTConfig:
-    """Parameters, the same for every sequence. Lengths are pixels, rates a frame.
+    """The parameters of a tracker, the same for every sequence.
 
-    The field defaults are those of :meth:`default`; :meth:`paper` follows the paper to the letter.
-    Raises BadConfig for a value out of its range.
+    The defaults of the fields are those of :meth:`default`; :meth:`paper` follows the paper to the letter. Lengths are
+    in pixels, learning rates per learned frame. The description of each field stands below it, and docs/tracker.md
+    says why the two presets differ.
+
+    Raises
+    ------
+    BadConfig
+        If a value is outside its range, or the values do not go together.
+
+    Examples
+    --------
+    >>> from mfcmt_core import MFCMTConfig
+    >>> config = MFCMTConfig.default().replace(num_scales=1)
+    >>> config.num_scales, MFCMTConfig.from_dict(config.to_dict()) == config
+    (1, True)
     """
 
     # Search window (section IV-A: "twice the last object size", resized to 150×150)
     window: WindowShape = "context"
-    """Shape: ``target`` k·(w, h); ``context`` (w, h) + (k - 1)·(w + h) / 2; ``square`` k·√(wh)."""
+    """Shape of the search window: ``target`` k·(w, h), ``context`` (w, h) + (k - 1)·(w + h) / 2, ``square`` k·√(wh)."""
     search_area_scale: float = 2.5
-    """k, the factor of the window over the target."""
+    """k, the size of the window as a multiple of the target's."""
     patch_size: int = 100
-    """Side of the square patch that the window is resized to; cells are 4×4 of its pixels."""
+    """Side of the square patch that the window is resized to. A cell is 4×4 pixels of it."""
 
     # Template models (section III-A, equations 1–3)
     features: tuple[str, ...] = ("gray", "fhog", "color_names")
-    """Cues of the template models, in the order of their planes; empty for none."""
+    """Cues of the template models, in the order of their feature planes. Empty: no template model."""
     joint_filter: bool = True
-    """One regression over all cues; otherwise one a cue."""
+    """Solve one regression over all cues. False: one per cue."""
     hog_epsilon: float = 10.0
-    """Energy added to each block of fHOG before it is normalised, in squared grey levels: noise stays small."""
+    """Energy added to each fHOG block before normalization, in squared gray levels: it damps noise in flat regions."""
     color_name_table: str | None = None
-    """A ``.npy`` of shape (32768, L) to use instead of the computed colour-name table."""
+    """Path of a ``.npy`` file of shape (32768, L) to use instead of the computed color-name table."""
     regularization: float = 1e-3
-    """λ of equation 1, for normalised transforms."""
+    """λ of equation 1, for normalized transforms."""
     output_sigma_factor: float = 1 / 16
-    """Standard deviation of the label over √(wh) of the target."""
+    """Standard deviation of the Gaussian label, as a fraction of √(wh) of the target."""
     template_learning_rate: float = 0.015
-    """η_t of equation 11."""
+    """η_t of equation 11: learning rate of the template models."""
     average: Literal["filter", "spectra"] = "spectra"
-    """What equation 11 averages: W itself, or its numerator and denominator."""
+    """What equation 11 averages over time: the filter W itself, or its numerator and denominator."""
     background_interval: int = 4
-    """Learned frames from one training of the background-aware filter to the next; 0: there is no such filter."""
+    """Train the background-aware filter on every N-th learned frame. 0: no such filter."""
     learn_within: float = 1.0
-    """Cells from the middle of a searched window within which, and within a step of scale, the models learn from it,
-    moved to the target's exact place. 0: they learn from a window cut anew, at the next whole pixel."""
+    """Learn from the searched window, shifted to the target's exact place, if the target is at most this many cells
+    from its middle and at most one scale step from its size. 0: learn from a new window at the nearest whole pixel."""
 
     # Statistical model (equations 4–7)
     color_histogram: bool = True
-    """Whether there is a statistical model."""
+    """Use the statistical model."""
     foreground_fraction: float = 0.85
-    """Part of the target's sides that counts as foreground."""
+    """Fraction of each of the target's sides that counts as foreground."""
     histogram_learning_rate: float = 0.04
-    """η_s of equation 11."""
+    """η_s of equation 11: learning rate of the color histograms."""
     unseen_likelihood: float = 0.0
-    """Equation 6 for colours that neither region has shown."""
+    """Likelihood (equation 6) of colors that neither region has shown."""
     surroundings_weight: float = 0.5
-    """Of the mean likelihood in a band around a box, what is taken from the box's own; 0: equation 7 alone."""
+    """Fraction of the mean likelihood around a box that is subtracted from the mean in it. 0: equation 7 alone."""
 
     # Fusion (section III-B, equations 8–10)
     probability: Literal["clip", "minimum", "raw"] = "minimum"
-    """How a response becomes a probability map: negatives clipped, minimum subtracted, or not at all."""
+    """How a response becomes a probability map: clip negative values, subtract the minimum, or keep it raw."""
     sharpness: int = 1
-    """Power, 1 or 2, that a map is raised to before it is normalised."""
+    """Power, 1 or 2, to which a map is raised before it is normalized."""
     statistical_weight: float = 3.0
-    """Weight of the statistical map in the weighted equation 9; each template map has 1."""
+    """Weight of the statistical map in the weighted form of equation 9. Each template map has weight 1."""
 
     # Reliability and update (section III-C)
     fused_threshold: float = 0.5
-    """γ_q: of the fused peak over its ten-frame mean."""
+    """γ_q: a reliable frame's fused peak exceeds this multiple of its ten-frame mean."""
     template_threshold: float = 0.7
-    """γ_t: of the template peak over its ten-frame mean."""
+    """γ_t: the same for the template peak."""
     statistical_threshold: float = 0.5
-    """γ_s: of the statistical peak over its ten-frame mean."""
+    """γ_s: the same for the statistical peak."""
     usual_threshold: float = 0.25
-    """Template and statistical peak must also exceed this part of their slow means over learned frames; 0: no test."""
+    """In a reliable frame, both peaks also exceed this multiple of their long-term means. 0: no test."""
     usual_frames: int = 100
-    """Length of those slow means."""
+    """Number of learned frames that the long-term means cover."""
     lost_after: int = 30
-    """Frames in a row that fail before the target counts as lost; 0 for never."""
+    """Number of unreliable frames in a row after which the target is lost. 0: never."""
     found_threshold: float = 0.6
-    """A lost target is found again where both peaks exceed this part of their slow means."""
+    """A lost target is found in a reliable frame whose peaks both exceed this multiple of their long-term means."""
     doubt_threshold: float = 0.6
-    """A template peak below this part of its slow mean has the tracker look at other places, too; 0: never."""
+    """Probe other places, too, if the template peak is below this multiple of its long-term mean. 0: never."""
     doubt_margin: float = 2.0
-    """How many times the template peak of another place must be to move there."""
+    """Move to another place only if its template peak is this many times as high."""
 
     # Scale (Algorithm 1, line 8; DSST)
     num_scales: int = 33
-    """Scales searched, odd; 1 for a fixed size."""
+    """Number of scales searched, odd. 1: the size is fixed."""
     scale_samples: int = 15
-    """Of these so many are sampled, odd; between them the response is interpolated (fDSST)."""
+    """Number of scales actually sampled, odd. The response is interpolated between them (fDSST)."""
     scale_step: float = 1.02
-    """Ratio of neighbouring scales."""
+    """Ratio of neighboring scales."""
     scale_interval: int = 2
-    """Searched and learned in every so many-th learned frame, later where that one looks at other places, too."""
+    """Search and learn the scale on every N-th learned frame, or later if that frame probes other places, too."""
     scale_learning_rate: float = 0.025
+    """Learning rate of the scale filter."""
     scale_regularization: float = 1e-2
+    """λ of the scale filter."""
     scale_sigma_factor: float = 0.25
-    """Standard deviation of the scale label over √num_scales."""
+    """Standard deviation of the scale label, as a fraction of √num_scales."""
     scale_max_area: float = 1024.0
-    """Pixels of a scale sample, at most."""
+    """Largest area of a scale sample in pixels."""
     scale_when_reliable: bool = True
-    """Search the scale on reliable frames only."""
+    """Search the scale on reliable frames only. False: also on unreliable frames, without learning it."""
 
     @classmethod
     def default(cls) -> MFCMTConfig:
-        """The choices that track best over many sequences; docs/tracker.md has the measured differences."""
+        """Return the preset that tracks best over many sequences; docs/tracker.md has the measured differences."""
         return cls()
 
     @classmethod
     def paper(cls) -> MFCMTConfig:
-        """The paper wherever it speaks; docs/tracker.md lists the decisions that fill its gaps."""
+        """Return the preset that follows the paper; docs/tracker.md lists the decisions that fill its gaps."""
         return cls(
             window="target",
             search_area_scale=2.0,
@@ -140,14 +155,20 @@ class MFCMTConfig:
 
     @classmethod
     def preset(cls, name: str) -> MFCMTConfig:
-        """``"default"`` or ``"paper"``. Raises BadConfig for another name."""
+        """Return the preset called ``"default"`` or ``"paper"``. Raises BadConfig for another name."""
         if name not in PRESETS:
             raise BadConfig(f"preset {name!r} is not one of {', '.join(PRESETS)}")
         return getattr(cls, name)()  # type: ignore[no-any-return]
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> MFCMTConfig:
-        """The inverse of :meth:`to_dict`; missing fields take the default. Raises BadConfig."""
+        """Return the configuration with these fields. Missing fields take the default.
+
+        Raises
+        ------
+        BadConfig
+            If a field is unknown, outside its range, or does not go with the others.
+        """
         unknown = set(values) - {f.name for f in fields(cls)}
         if unknown:
             raise BadConfig(f"no parameter is called {', '.join(sorted(map(repr, unknown)))}")
@@ -157,11 +178,11 @@ class MFCMTConfig:
             raise BadConfig(str(error)) from error
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, ready for JSON or MessagePack."""
+        """Return the fields as plain values, ready for JSON or MessagePack."""
         return asdict(self) | {"features": list(self.features)}
 
     def replace(self, **changes: Any) -> MFCMTConfig:
-        """A copy with some parameters changed. Raises BadConfig."""
+        """Return a copy with some fields changed. Raises BadConfig as the constructor does."""
         return replace(self, **changes)
 
     def __post_init__(self) -> None:
@@ -181,7 +202,7 @@ class MFCMTConfig:
         if not set(self.features) <= set(cues) or len(set(self.features)) != len(self.features):
             raise BadConfig(f"features={self.features!r} are not distinct ones of {cues}")
         if not (self.color_histogram or set(self.features) & {"gray", "fhog"}):
-            raise BadConfig("without colour histogram, gray or fhog nothing is left to track a grey target by")
+            raise BadConfig("a gray target needs color_histogram, or gray or fhog among the features")
         if self.background_interval and self.average != "spectra":
             raise BadConfig("the background-aware filter learns from the mean of spectra: average='spectra'")
         for name in ("num_scales", "scale_samples"):
@@ -195,7 +216,7 @@ class MFCMTConfig:
 
 PRESETS = ("default", "paper")
 MAX_ZOOM = 8.0
-"""Largest scale of one search: its samples are cut from so many times the target's sides."""
+"""Largest factor of size in one scale search: it bounds the pixels that the samples are taken from."""
 
 _CHOICES: dict[str, tuple[Any, ...]] = {
     "window": ("target", "context", "square"),

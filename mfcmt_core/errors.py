@@ -1,20 +1,20 @@
-"""What the package raises. A call that raises one of these has changed nothing."""
+"""The exceptions of the package. A call that raises one of them has changed nothing."""
 
 from __future__ import annotations
 
 
 class MFCMTError(Exception):
-    """Base of every exception of this package."""
+    """The base class of all exceptions of this package."""
 
 
 class BadConfig(MFCMTError, ValueError):
-    """A parameter of :class:`~mfcmt_core.MFCMTConfig` is out of its range."""
+    """A parameter of :class:`~mfcmt_core.MFCMTConfig` is outside its range."""
 
 
 class BadBox(MFCMTError, ValueError):
-    """The box is not four finite numbers, has a side below one pixel, or lies outside the frame.
+    """The box is not four finite numbers, has a side below one pixel, or lies mostly outside the frame.
 
-    ``reason`` says what is wrong and never repeats the box.
+    ``reason`` says what is wrong without repeating the box.
     """
 
     def __init__(self, reason: str, box: object = None) -> None:
@@ -23,7 +23,7 @@ class BadBox(MFCMTError, ValueError):
 
 
 class BadImage(MFCMTError, ValueError):
-    """The image is not ``uint8`` of shape ``(H, W)`` or ``(H, W, 3)``, or not of the first one's size."""
+    """The image is not ``uint8`` of shape ``(H, W)`` or ``(H, W, 3)``, or its frame has another size than the first."""
 
 
 class NotInitialised(MFCMTError, RuntimeError):
@@ -31,13 +31,13 @@ class NotInitialised(MFCMTError, RuntimeError):
 
 
 class BadSnapshot(MFCMTError, ValueError):
-    """The bytes are not a snapshot of a supported version, or its contents do not fit together."""
+    """The bytes are not a snapshot of a supported version, or what it holds does not fit together."""
 
 
 class RegionTooSmall(MFCMTError, ValueError):
-    """The image is a cut of the frame that does not show all that the tracker looks at.
+    """The image is a region of the frame that does not cover all that the tracker reads.
 
-    ``needed`` is the part that it must show: ``(x, y, w, h)`` in whole pixels of the frame.
+    ``given`` is the region and ``needed`` what it must cover, both ``(x, y, w, h)`` in whole pixels of the frame.
     """
 
     def __init__(self, given: tuple[int, int, int, int], needed: tuple[int, int, int, int]) -> None:

@@ -1,7 +1,7 @@
-"""Real transforms of stacks of small square grids, as matrix products.
+"""Fourier transforms of stacks of small square real grids, as matrix products.
 
-A grid has a few dozen cells a side, often not of a length that fast transforms like. Products with the cosines
-and sines themselves, after even and odd rows are told apart, are faster there, and allocate nothing.
+A grid has a few dozen cells per side, often a number that fast transforms handle badly. Products with matrices of
+cosines and sines, after even and odd rows are separated, are faster at these sizes and allocate nothing.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from .workspace import scratch
 Spectra = npt.NDArray[np.complex64]
 
 ALIGNMENT = 8
-"""Columns of a product are padded to a multiple of this many."""
+"""The columns of a product are padded to a multiple of this."""
 
 
 class Transform:
-    """The transform of n × n cells to half spectra, unnormalised, and back to the displacements within reach."""
+    """Transforms n × n cells to unnormalized half spectra, and half spectra back to the displacements within reach."""
 
     def __init__(self, cells: int, reach: tuple[int, int]) -> None:
         n, half = cells, cells // 2 + 1
         self.reach = reach
         index = np.arange(n)
         angles = 2 * np.pi / n * np.outer(index, index)
-        rows = slice(1, (n + 1) // 2)  # where sines are not 0
+        rows = slice(1, (n + 1) // 2)  # where the sines are not 0
         self.even = np.cos(angles[:half, :half]).astype(np.float32)
         self.odd = np.sin(angles[rows, rows]).astype(np.float32)
         self.columns = np.zeros((n, -(-2 * half // ALIGNMENT) * ALIGNMENT), np.float32)
@@ -40,7 +40,7 @@ class Transform:
         self.columns_back = waves.reshape(2 * half, -1).astype(np.float32)
 
     def forward(self, grids: npt.NDArray[np.float32]) -> Spectra:
-        """Half spectra (channels, n, n // 2 + 1) complex64 of ``grids`` (n, channels, n), rows first."""
+        """Return the half spectra (channels, n, n // 2 + 1) complex64 of ``grids`` (n, channels, n), rows first."""
         n, channels, _ = grids.shape
         half = len(self.even)
         even, odd = scratch("even_rows", (half, channels * n)), scratch("odd_rows", (n - half, channels * n))
@@ -55,6 +55,9 @@ class Transform:
         return out
 
     def backward(self, spectra: Spectra, out: npt.NDArray[np.float32]) -> None:
-        """Half spectra (maps, n, n // 2 + 1) → ``out`` (maps, 2·ry + 1, 2·rx + 1), zero displacement in the middle."""
+        """Transform half spectra (maps, n, n // 2 + 1) back to ``out`` (maps, 2·ry + 1, 2·rx + 1) float32.
+
+        Zero displacement is in the middle of ``out``.
+        """
         waves: npt.NDArray[np.float32] = (self.rows_back @ spectra).view(np.float32)
         np.matmul(waves, self.columns_back, out=out)

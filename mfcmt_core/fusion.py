@@ -1,8 +1,8 @@
-"""Probability maps and their relative-entropy optimum (section III-B, equations 8–10).
+"""Fuse probability maps to their relative-entropy optimum (section III-B, equations 8–10).
 
-Minimising Σ_l KL(P_l ‖ Q) over maps Q of sum 1 with a Lagrange multiplier gives Q = Σ_l P_l / i, the mean;
-with weights, the weighted mean. It adapts through the maps alone: a diffuse one lifts every cell alike and
-so decides nothing. What the paper leaves open is how a response becomes a probability map.
+Minimizing Σ_l KL(P_l ‖ Q) over the maps Q of sum 1, with a Lagrange multiplier, gives the mean Q = Σ_l P_l / i, or with
+weights the weighted mean. The fusion adapts through the maps alone: a diffuse map lifts every cell alike and so
+decides nothing. The paper leaves open how a response becomes a probability map; ``config.probability`` decides it.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from .kernels.fusion import fuse_and_find
 from .workspace import scratch
 
 PSR_LEAVE_OUT = 5
-"""Cells on each side of the peak that do not count as sidelobe: 11×11 in all."""
+"""Cells on each side of the peak that do not count as sidelobe: 11×11 in all (Bolme et al., CVPR 2010)."""
 
 _FLOORS = {"clip": 0, "minimum": 1, "raw": 2}
 
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """The highest place of the fused map: displacement in cells (x, y), height, peak-to-sidelobe ratio.
+    """The peak of a fused map: its displacement (x, y) in cells, its height, and its peak-to-sidelobe ratio.
 
     ``tops`` are the highest values of the single responses.
     """
@@ -41,9 +41,27 @@ def fuse(
     config: MFCMTConfig,
     fused: npt.NDArray[np.float32],
 ) -> Peak:
-    """Fuse ``responses`` (maps, rows, columns), zero displacement in the middle, into ``fused``.
+    """Fuse response maps and return the peak of the fused map.
 
-    ``responses`` are probability maps afterwards. Sizes are odd. float32.
+    Parameters
+    ----------
+    responses : ndarray of float32, shape (maps, rows, columns)
+        The responses, with zero displacement in the middle and odd sizes. They become probability maps in place.
+    weights : ndarray of float32, shape (maps,)
+        The weight of each map.
+    config : MFCMTConfig
+        ``probability`` and ``sharpness`` say how a response becomes a probability map.
+    fused : ndarray of float32, shape (rows, columns)
+        Receives the fused map.
+
+    Returns
+    -------
+    Peak
+
+    References
+    ----------
+    D. S. Bolme, J. R. Beveridge, B. A. Draper and Y. M. Lui, "Visual Object Tracking using Adaptive Correlation
+    Filters", CVPR 2010, doi:10.1109/CVPR.2010.5539960: the peak-to-sidelobe ratio.
     """
     tops = scratch("tops", responses.shape[:1])
     y, x, height, psr = fuse_and_find(

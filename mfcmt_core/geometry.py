@@ -1,6 +1,6 @@
-"""Boxes, frames, and the search window with its exact maps between image, patch and cells.
+"""Boxes, frames, and the search window with its exact maps between frame, patch and cells.
 
-Coordinates are continuous and 0-based: pixel i covers [i, i + 1), a box's left edge is ``x``, its centre
+Coordinates are continuous and 0-based: pixel i covers [i, i + 1). The left edge of a box is ``x``, its center is
 ``x + w / 2``.
 """
 
@@ -27,14 +27,21 @@ Rect = tuple[int, int, int, int]
 """``(x, y, w, h)`` in whole pixels of the frame."""
 
 MAX_FRAME_SIDE = 1 << 20
+"""Largest side of a frame in pixels."""
 MIN_BOX_SIDE = 1.0
-"""Pixels; a smaller box is no picture of anything, and mostly a share of the frame where pixels are meant."""
+"""Smallest side of a box in pixels. Smaller boxes are mostly fractions of the frame, given instead of pixels."""
 CELL = 4
 """Side of a cell in pixels of the patch (section IV-A)."""
 
 
 def check_box(box: Iterable[float], frame_size: tuple[int, int]) -> Box:
-    """The box as four floats. Raises BadBox unless finite, of a pixel at least and a quarter inside the frame."""
+    """Return the box as four floats.
+
+    Raises
+    ------
+    BadBox
+        Unless the box is four finite numbers, each side is a pixel at least, and a quarter of it lies in the frame.
+    """
     try:
         if isinstance(box, str | bytes):
             raise TypeError("text")
@@ -59,7 +66,7 @@ def check_box(box: Iterable[float], frame_size: tuple[int, int]) -> Box:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One frame, or a cut of it: ``image`` shows the frame of ``size`` (w, h) from ``offset`` (x, y) on."""
+    """A frame of ``size`` (w, h), of which ``image`` shows the region that begins at ``offset`` (x, y)."""
 
     image: Image
     offset: tuple[int, int]
@@ -67,7 +74,7 @@ class Frame:
 
     @classmethod
     def of(cls, image: Image, offset: tuple[int, int] = (0, 0), frame_size: tuple[int, int] | None = None) -> Frame:
-        """Check an image as the caller gave it. Raises BadImage."""
+        """Check an image from a caller and return its frame. Raises BadImage."""
         if not isinstance(image, np.ndarray) or image.dtype != np.uint8:
             kind = getattr(image, "dtype", type(image).__name__)
             raise BadImage(f"an image is a uint8 array, not {kind}")
@@ -75,7 +82,7 @@ class Frame:
             raise BadImage(f"an image has shape (H, W) or (H, W, 3), not {image.shape}")
         height, width = image.shape[:2]
         if height < 1 or width < 1:
-            raise BadImage(f"an image without pixels: {image.shape}")
+            raise BadImage(f"an image has at least one pixel, not shape {image.shape}")
         try:
             size = (width, height) if frame_size is None else (index(frame_size[0]), index(frame_size[1]))
             x, y = index(offset[0]), index(offset[1])
@@ -84,29 +91,30 @@ class Frame:
         if max(size) > MAX_FRAME_SIDE:
             raise BadImage(f"a side of {max(size)} is more than {MAX_FRAME_SIDE}")
         if x < 0 or y < 0 or x + width > size[0] or y + height > size[1]:
-            raise BadImage(f"a cut of {width}×{height} at {(x, y)} does not lie in a frame of {size}")
+            raise BadImage(f"a region of {width}×{height} at {(x, y)} does not lie in a frame of {size}")
         return cls(image, (x, y), size)
 
     @property
     def rect(self) -> Rect:
-        """The part of the frame that the image shows."""
+        """The region of the frame that the image shows."""
         return (*self.offset, self.image.shape[1], self.image.shape[0])
 
     def contains(self, place: tuple[float, float]) -> bool:
-        """Whether ``place`` lies in the frame."""
+        """Return True if ``place`` lies in the frame."""
         return 0 <= place[0] <= self.size[0] and 0 <= place[1] <= self.size[1]
 
     def require(self, needed: Rect) -> None:
-        """Raises RegionTooSmall unless the image shows all of ``needed``."""
+        """Raise RegionTooSmall unless the image shows all of ``needed``."""
         x, y, w, h = self.rect
         if needed[0] < x or needed[1] < y or needed[0] + needed[2] > x + w or needed[1] + needed[3] > y + h:
             raise RegionTooSmall(self.rect, needed)
 
     def sample(self, rect: Rect, readable: Rect, out_size: tuple[int, int]) -> Image:
-        """``rect`` resized to ``out_size`` (w, h); beyond ``readable`` its border pixels repeat.
+        """Return ``rect`` of the frame resized to ``out_size`` (w, h).
 
-        A large rectangle is thinned out first, so the cost follows the patch and not the rectangle; what
-        remains is resized by less than four, where bilinear interpolation averages enough.
+        No pixel outside ``readable`` is read; its border pixels repeat there. A large rectangle is subsampled first, so
+        that the cost depends on ``out_size`` and not on the rectangle. The rest is resized by a factor below four, for
+        which bilinear interpolation averages enough.
         """
         x, y, w, h = rect
         step_x, step_y = max(w // (2 * out_size[0]), 1), max(h // (2 * out_size[1]), 1)
@@ -124,24 +132,27 @@ class Frame:
 
 
 def _columns(rows: Image, first: int, last: int, step: int) -> Image:
-    """``rows[:, first:last:step]``, by OpenCV where that is a copy, which takes NumPy five times as long."""
+    """Return ``rows[:, first:last:step]``. OpenCV makes the copy if one is needed, five times as fast as NumPy."""
     if step == 1:
         return rows[:, first:last]
     count = (last - 1 - first) // step + 1
     missing = first + count * step - rows.shape[1]
     wide = rows[:, first : first + count * step]
-    if missing > 0:  # behind the last column that is taken
+    if missing > 0:  # after the last column that is taken
         wide = cv2.copyMakeBorder(wide, 0, 0, 0, missing, cv2.BORDER_CONSTANT)  # type: ignore[assignment]
     return cv2.resize(wide, (count, len(rows)), interpolation=cv2.INTER_NEAREST)  # type: ignore[return-value]
 
 
 def _split_samples(start: int, length: int, step: int, low: int, extent: int) -> tuple[int, int, int, int]:
-    """Of the samples start, start + step, … of ``length``: slice of those in the extent, counts outside."""
+    """Split the samples start, start + step, … into those inside [low, low + extent) and those outside.
+
+    Returns (first, last, before, after): the slice of the samples inside, and how many are padded on each side.
+    """
     count = length // step
     before = min(max(-((start - low) // step), 0), count)
     last_inside = (low + extent - 1 - start) // step
     after = min(max(count - 1 - last_inside, 0), count)
-    if before + after >= count:  # none inside: the nearest pixel repeats
+    if before + after >= count:  # no sample is inside: the nearest pixel repeats
         pixel = low if start < low else low + extent - 1
         return pixel, pixel + 1, 0, count - 1
     first = start + before * step
@@ -150,10 +161,11 @@ def _split_samples(start: int, length: int, step: int, low: int, extent: int) ->
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """Pixels of the search window and its margin, ``(side, side[, 3])``, and where they come from.
+    """The pixels of a search window and its margin, (side, side) or (side, side, 3), and where they come from.
 
-    ``rect`` is the cut in whole pixels of the frame, ``center`` its exact centre and ``step`` the image pixels a
-    patch pixel, (x, y): displacements count from that centre, not from the unrounded one that was asked for.
+    ``rect`` is the window in whole pixels of the frame, ``center`` (x, y) its exact center, and ``step`` (x, y) the
+    frame's pixels per pixel of the patch. Displacements count from this center, not from the unrounded one that was
+    asked for.
     """
 
     pixels: Image
@@ -165,10 +177,21 @@ class Patch:
 class SearchWindow:
     """The search window of one target: its size at scale 1 and the grids that lie on it.
 
-    ``extent`` (w, h) image pixels at scale 1; ``patch_size`` the side of the square patch that it is resized
-    to (the aspect is not kept: every target has the same grid and the same cost); ``margin`` how many more of its
-    pixels are cut on each side, for another window near by; ``cells`` a side; ``target`` (w, h) of the target in
-    cells; ``reach`` (x, y) the largest displacement in cells.
+    Attributes
+    ----------
+    extent : (float, float)
+        Size (w, h) in pixels of the frame, at scale 1.
+    patch_size : int
+        Side of the square patch that the window is resized to. The aspect ratio is not kept, so that every target has
+        the same grid and the same cost.
+    margin : int
+        Pixels of the patch that are cropped around the window on each side, for other windows nearby.
+    cells : int
+        Number of cells per side.
+    target : (float, float)
+        Size (w, h) of the target in cells.
+    reach : (int, int)
+        Largest displacement (x, y) in cells.
     """
 
     def __init__(self, config: MFCMTConfig, base_size: tuple[float, float]) -> None:
@@ -189,31 +212,31 @@ class SearchWindow:
         self.reach = (self._reach(self.target[0]), self._reach(self.target[1]))
 
     def _reach(self, target_cells: float) -> int:
-        """Displacements at which the target still lies in the window, but at least two cells."""
+        """Return the largest displacement in cells at which the target still lies in the window, but at least two."""
         return max(2, min(floor((self.cells - target_cells) / 2), (self.cells - 1) // 2))
 
     def rect(self, center: tuple[float, float], scale: float, grow: float = 1.0) -> Rect:
-        """The window around ``center`` as whole pixels of the frame, not clipped to it."""
+        """Return the window around ``center``, times ``grow``, in whole pixels and not clipped to the frame."""
         w = max(2, round(self.extent[0] * scale * grow))
         h = max(2, round(self.extent[1] * scale * grow))
         return floor(center[0] - w / 2 + 0.5), floor(center[1] - h / 2 + 0.5), w, h
 
     def crop(self, frame: Frame, readable: Rect, center: tuple[float, float], scale: float) -> Patch:
-        """The window's pixels at ``center`` and ``scale``; nothing outside ``readable`` is looked at."""
+        """Return the window's pixels at ``center`` and ``scale``. No pixel outside ``readable`` is read."""
         side = self.patch_size + 2 * self.margin
         x, y, w, h = rect = self.rect(center, scale, side / self.patch_size)
         pixels = frame.sample(rect, readable, (side, side))
         return Patch(pixels, rect, (x + w / 2, y + h / 2), (w / side, h / side))
 
     def neighbor(self, center: tuple[float, float], scale: float, side: int) -> tuple[float, float]:
-        """Centre of the window half a window to the left (``side`` 0), up (1), to the right (2) or down (3)."""
+        """Return the center of the window half a window to the left (``side`` 0), up (1), right (2) or down (3)."""
         half = self.extent[side % 2] * scale / 2
         step = half if side >= 2 else -half
         return (center[0] + step, center[1]) if side % 2 == 0 else (center[0], center[1] + step)
 
 
 def clip_rect(rect: Rect, frame_size: tuple[int, int]) -> Rect:
-    """The part of ``rect`` inside the frame, at least one pixel."""
+    """Return the part of ``rect`` inside the frame, at least one pixel."""
     x, y, w, h = rect
     x0, y0 = min(max(x, 0), frame_size[0] - 1), min(max(y, 0), frame_size[1] - 1)
     x1, y1 = max(min(x + w, frame_size[0]), x0 + 1), max(min(y + h, frame_size[1]), y0 + 1)
@@ -221,7 +244,7 @@ def clip_rect(rect: Rect, frame_size: tuple[int, int]) -> Rect:
 
 
 def grow_rect(rect: Rect, by_x: float, by_y: float) -> Rect:
-    """``rect`` with so many pixels more on each side, rounded outwards."""
+    """Return ``rect`` with ``by_x`` and ``by_y`` pixels more on each side, rounded outwards."""
     x, y, w, h = rect
     gx, gy = ceil(by_x), ceil(by_y)
     return x - gx, y - gy, w + 2 * gx, h + 2 * gy

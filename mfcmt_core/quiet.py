@@ -1,4 +1,4 @@
-"""Libraries that print on the standard error by themselves, silenced."""
+"""Silence libraries that print on the standard error by themselves."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from functools import cache
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Until the end of the block, what anything in this process prints on the standard error goes nowhere."""
+    """Discard everything that this process prints on the standard error within the block."""
     try:
         kept = os.dup(2)
-    except OSError:  # closed: nothing can be printed
+    except OSError:  # it is closed: nothing can be printed
         yield
         return
     os.dup2(_nowhere(), 2)
@@ -26,5 +26,5 @@ def quiet() -> Iterator[None]:
 
 @cache
 def _nowhere() -> int:
-    """Opened once: a lane that is confined may open nothing any more."""
+    """Return the null device, opened once: a confined lane may not open files later."""
     return os.open(os.devnull, os.O_WRONLY)

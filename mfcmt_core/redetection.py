@@ -1,4 +1,4 @@
-"""Where else to look: for a doubtful target at the map's other peak, for a lost one where its colours fit best."""
+"""Other places for a target: the second peak of the fused map, and the place in the frame whose colors fit best."""
 
 from __future__ import annotations
 
@@ -12,15 +12,18 @@ from .kernels.color import box_means, integrate_likelihood
 from .workspace import scratch
 
 TARGET_SIDE = 8.0
-"""Pixels that the target's shorter side keeps in the shrunken frame."""
+"""Length of the target's shorter side in the shrunken frame, in pixels."""
 MAX_SIDE = 160
-"""Pixels of the shrunken frame's longer side at most, so that the search costs less than one update."""
+"""Largest side of the shrunken frame in pixels; it keeps the search cheaper than one update."""
 MIN_SECOND_HEIGHT = 0.5
-"""Of the highest peak, that another one must have."""
+"""Smallest height of the second peak, as a fraction of the highest."""
 
 
 def second_peak(fused: npt.NDArray[np.float32], target: tuple[float, float]) -> tuple[float, float] | None:
-    """Displacement (x, y) in cells of the next highest peak of ``fused``, a third of the target (w, h) apart."""
+    """Return the displacement (x, y) in cells of the second peak of ``fused``, or None if there is none.
+
+    It is at least a third of the ``target`` (w, h; cells) from the first peak and at least half as high.
+    """
     rest, highest = fused.copy(), fused.max()
     x_apart, y_apart = (max(1, int(side / 3)) for side in target)
     y, x = np.unravel_index(int(rest.argmax()), rest.shape)
@@ -32,7 +35,7 @@ def second_peak(fused: npt.NDArray[np.float32], target: tuple[float, float]) -> 
 
 
 def propose(color: ColorModel, frame: Frame, base_size: tuple[float, float], scale: float) -> tuple[float, float]:
-    """Centre of the box of the target's size whose mean likelihood exceeds its surroundings' most."""
+    """Return the center (x, y) of the box of the target's size with the highest mean color likelihood in the frame."""
     width, height = frame.size
     w, h = base_size[0] * scale, base_size[1] * scale
     shrink = min(1.0, TARGET_SIDE / min(w, h), MAX_SIDE / max(width, height))

@@ -1,4 +1,4 @@
-"""What the tracker says about one frame."""
+"""The result of one frame."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 Box = tuple[float, float, float, float]
-"""``(x, y, w, h)``: pixels of the frame, 0-based, top-left corner, ``w, h > 0``."""
+"""``(x, y, w, h)`` in pixels of the frame: the 0-based top-left corner and the size, which is positive."""
 
 Status = Literal["tracking", "uncertain", "lost"]
 
 
 @dataclass(frozen=True, slots=True)
 class Flags:
-    """The three tests of section III-C: is the peak of this frame high enough against the last ten?"""
+    """The three tests of section III-C. Each is True if its peak is high enough against the last ten frames."""
 
     fused: bool
     template: bool
@@ -25,7 +25,7 @@ class Flags:
 
 @dataclass(frozen=True, slots=True)
 class Scores:
-    """Each peak divided by its mean over the last ten frames; 1 is usual, the thresholds are γ."""
+    """Each peak divided by its mean over the last ten frames. 1 is normal; the thresholds are γ_q, γ_t and γ_s."""
 
     fused: float
     template: float
@@ -36,11 +36,27 @@ class Scores:
 class TrackResult:
     """Where the target is in one frame and how far to trust it.
 
-    ``box`` is the last known one while ``status`` is ``"lost"``. ``flags``, ``scores``, ``psr`` and
-    ``reliable`` are ``None`` on the frame that started the target. ``psr`` is the peak-to-sidelobe ratio of
-    the fused map, 11×11 around the peak left out. ``updated`` says whether the models learned from this
-    frame, ``scale`` is the size relative to the box given. ``maps`` holds the response maps by name
-    (``fused``, one a model and one a cue; ``float32``, each of sum 1) where they were asked for.
+    Attributes
+    ----------
+    box : (float, float, float, float)
+        ``(x, y, w, h)`` in pixels of the frame. While the target is lost, this is its last reliable box.
+    status : {"tracking", "uncertain", "lost"}
+        ``"tracking"`` if the frame is reliable, ``"uncertain"`` if it is not, ``"lost"`` after many unreliable frames.
+    reliable : bool or None
+        True if the frame passed all three tests. None on the frame that started the target, as the next three.
+    flags : Flags or None
+        The three tests one by one.
+    scores : Scores or None
+        The ratios that are tested.
+    psr : float or None
+        Peak-to-sidelobe ratio of the fused map, without the 11×11 cells around the peak.
+    updated : bool
+        True if the models learned from this frame.
+    scale : float
+        The size of the box relative to the box that was given.
+    maps : dict of ndarray or None
+        The response maps by name, if they were asked for: ``fused``, one per model, and one per cue. Each is float32
+        of shape (rows, columns), with zero displacement in the middle, and has sum 1 unless ``probability`` is "raw".
     """
 
     box: Box

@@ -1,4 +1,4 @@
-"""The scale filter of DSST (Danelljan et al., BMVC 2014): a one-dimensional correlation filter over sizes."""
+"""The scale model: a one-dimensional correlation filter over the sizes of the target (DSST)."""
 
 from __future__ import annotations
 
@@ -18,28 +18,33 @@ from .workspace import scratch
 Reals = npt.NDArray[np.float32]
 
 LANES = 8
-"""The scales are padded to a multiple of this many SIMD lanes."""
+"""The number of scales is padded to a multiple of this: the float32 lanes of a SIMD register."""
 MAX_SAMPLE_SIDE = 64
-"""Pixels: together with the area this bounds the cost for targets of any aspect."""
+"""Largest side of a sample in pixels. With the area it bounds the cost for targets of any aspect ratio."""
 MIN_SIDE = 5.0
-"""Pixels; a target is not followed below this size, unless it began smaller."""
+"""Smallest side in pixels that a target may shrink to, unless it began smaller."""
 OVERSAMPLING = 2.0
-"""Pixels of the grey cut a sample of scale 1, at most: enough that the smallest scale does not alias."""
+"""Largest number of gray pixels per pixel of a sample of scale 1: enough that the smallest scale does not alias."""
 
 
 class ScaleModel:
     """Finds the target's size among ``num_scales`` steps around the last one.
 
-    ``scale_samples`` samples over the same range: the target's box at that size, resized to at most
-    ``scale_max_area`` pixels, as fHOG; the filter is the ridge regression of equation 1 along the axis of scales,
-    with a Gaussian label and a Hann window over it. Numerator and denominator are running means; the label is the
-    same in every frame, so that the numerator is kept without it. The response is a sum of waves and can be had
-    at any scale (fDSST: Danelljan et al., PAMI 2017).
+    ``scale_samples`` samples cover the range: each is the target's box at one size, resized to at most
+    ``scale_max_area`` pixels and described by fHOG. The filter is the ridge regression of equation 1 along the axis of
+    scales, with a Gaussian label and a Hann window over it. ``numerator`` (cells, 31, n // 2 + 1) complex64 and
+    ``energy`` (n // 2 + 1,) float32 are running means; the label is the same in every frame and not part of them. The
+    response is a sum of waves, which can be evaluated at any scale between the samples (fDSST).
 
-    Spectra are half spectra along the n samples, (cells, 31, n // 2 + 1) complex64, and count from the present scale,
-    so that the symmetric label's is real.
+    Spectra are half spectra along the n samples, (cells, 31, n // 2 + 1) complex64. They count from the present scale,
+    so that the spectrum of the symmetric label is real.
 
-    ``frames_since_search`` counts the frames learned from since the scale was searched last.
+    ``frames_since_search`` counts the learned frames since the last search of the scale.
+
+    References
+    ----------
+    M. Danelljan, G. Häger, F. S. Khan and M. Felsberg, "Accurate Scale Estimation for Robust Visual Tracking" (DSST),
+    BMVC 2014, doi:10.5244/C.28.65; "Discriminative Scale Space Tracking" (fDSST), TPAMI 2017, arXiv:1609.06141.
     """
 
     def __init__(self, config: MFCMTConfig, base_size: tuple[float, float]) -> None:
@@ -61,7 +66,7 @@ class ScaleModel:
         padding = (0, -n % LANES)
         self.lane_factors = np.pad(sample_step**steps, padding, constant_values=1).astype(np.float32)
         self.hann = np.pad(np.hanning(n + 2)[1:-1], padding).astype(np.float32)
-        # n is small and odd: a matrix product beats any transform
+        # n is small and odd: a matrix product is faster than any fast transform
         frequencies = 2 * np.pi / n * np.arange(n // 2 + 1)
         waves = np.exp(-1j * np.outer(np.pad(steps, padding), frequencies)).astype(np.complex64)
         self.transform = waves.view(np.float32)
@@ -76,10 +81,10 @@ class ScaleModel:
         self.energy = np.zeros(len(frequencies), np.float32)
 
     def advance(self, busy: bool) -> bool:
-        """One more frame is learned from: whether it is one to search.
+        """Count one more learned frame, and return True if the scale is to be searched in it.
 
-        Every ``interval``-th is, but a ``busy`` one, which has had more to do than others, leaves it to the next,
-        until twice the interval has passed.
+        That is every ``interval``-th frame. A ``busy`` frame, which has probed other places, leaves the search to the
+        next one until twice the interval has passed.
         """
         self.frames_since_search += 1
         if self.frames_since_search < self.interval * (2 if busy else 1):
@@ -88,7 +93,7 @@ class ScaleModel:
         return True
 
     def estimate(self, spectra: Spectra) -> float:
-        """The factor by which the target's size differs from the one that ``spectra`` were taken at."""
+        """Return the factor from the size that ``spectra`` were taken at to the target's size."""
         products = scratch("scale_products", spectra.shape[1:], np.complex64)
         response_f = scratch("scale_response", self.energy.shape, np.complex64)
         respond_scales(spectra, self.numerator, self.label_f, self.energy, self.regularization, products, response_f)
@@ -97,7 +102,7 @@ class ScaleModel:
         return float(self.factors[best if response[best] > response[same] else same])
 
     def learn(self, spectra: Spectra, growth: float = 1.0, first: bool = False) -> None:
-        """Move the filter towards the target, which is ``growth`` times the size that ``spectra`` were taken at."""
+        """Learn ``spectra`` of a target that is ``growth`` times as large as the size they were taken at."""
         rate = np.float32(1) if first else self.rate
         angles = self.angle_of_growth * np.float32(log(growth))
         rotations = scratch("scale_products", spectra.shape[1:], np.complex64)
@@ -106,9 +111,10 @@ class ScaleModel:
         )
 
     def load_real_waves(self, waves: Reals, sums: Reals, energy: Reals) -> None:
-        """Take over a filter whose frequencies from 1 on are cosine sums, then sine sums, each padded to lanes.
+        """Load a filter from real arrays, as version 3 of a snapshot holds it.
 
-        ``waves`` (features, 2 · lanes), ``sums`` (features,) frequency 0, ``energy`` (lanes + 1,) that one last.
+        ``waves`` (features, 2 · lanes) are the cosine sums of the frequencies from 1 on, then the sine sums, each
+        padded to ``lanes``. ``sums`` (features,) is frequency 0. ``energy`` (lanes + 1,) has frequency 0 last.
         """
         reach, lanes = self.count // 2, len(energy) - 1
         numerator = self.numerator.reshape(len(sums), -1)
@@ -117,14 +123,14 @@ class ScaleModel:
         self.energy[1:] = energy[:reach]
 
     def clamp(self, scale: float, frame_size: tuple[int, int]) -> float:
-        """``scale`` within what makes sense: a few pixels at least, the frame at most."""
+        """Return ``scale`` clipped so that the target has a few pixels at least and fits into the frame."""
         w, h = self.base_size
         lowest = min(1.0, MIN_SIDE / min(w, h))
         highest = max(1.0, min(frame_size[0] / w, frame_size[1] / h))
         return min(max(scale, lowest), highest)
 
     def spectra(self, frame: Frame, readable: Rect, center: tuple[float, float], scale: float) -> Spectra:
-        """What the target's surroundings at that centre look like at each scale; scratch, until the next call."""
+        """Return the spectra of the target at ``center`` around ``scale``. The array is scratch until the next call."""
         w, h = self.base_size[0] * scale, self.base_size[1] * scale
         gray, (cx, cy), (fx, fy) = _sample_gray(
             frame, readable, center, (w, h), self.largest, (self.width, self.height)
@@ -151,14 +157,14 @@ class ScaleModel:
             features,
         )
         spectra = scratch("scale_spectra", self.numerator.shape, np.complex64)
-        # row by row: products too small for a BLAS to bring its threads to, which cost more than they save
+        # row by row: such small products do not start BLAS threads, which cost more than they save
         rows = (ny, nx * CHANNELS, -1)
         np.matmul(features.reshape(rows), self.transform, out=spectra.view(np.float32).reshape(rows))
         return spectra
 
 
 def _sample_side(side: float) -> int:
-    """A whole number of cells near ``side``; a sliver of a target does not make a sliver of a sample."""
+    """Return ``side`` rounded to whole cells, at least two, so that a thin target still gives a sample with texture."""
     return min(max(round(side / CELL) * CELL, 2 * CELL), MAX_SAMPLE_SIDE)
 
 
@@ -170,9 +176,9 @@ def _sample_gray(
     largest: float,
     sample_size: tuple[int, int],
 ) -> tuple[Image, tuple[float, float], tuple[float, float]]:
-    """Grey pixels around the target with room for the largest scale, thinned to what the samples need.
+    """Sample the gray pixels around the target that the largest scale covers, at the resolution that is needed.
 
-    Returns the pixels, the centre in them and the image pixels each stands for.
+    Returns the pixels, the target's center (x, y) in them, and the frame's pixels (x, y) per pixel.
     """
     out, cut = [], []
     for length, samples in zip(size, sample_size, strict=True):

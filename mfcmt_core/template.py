@@ -24,15 +24,24 @@ from .workspace import scratch
 
 
 class TemplateModel:
-    """One filter for each cue, or a single one for all of them together (``config.joint_filter``).
+    """One correlation filter per cue, or one for all cues together (``config.joint_filter``).
 
-    Spectra are unnormalised half spectra (channels, n, n // 2 + 1) complex64 of the n × n cells; λ is
-    scaled by n², which makes it the λ of a regression with normalised transforms. Equation 3 needs the
-    conjugate of the filter, which the paper's print leaves out.
+    Spectra are unnormalized half spectra (channels, n, n // 2 + 1) complex64 of the n × n cells. λ is scaled by n²,
+    so that it equals the λ of a regression with normalized transforms. Equation 3 needs the conjugate of the filter,
+    which the printed paper omits.
 
-    ``numerator`` (channels, n, n // 2 + 1) is what equation 11 averages: W, or the numerator of equation 2 without
-    the label, which is the same in every frame. Then ``denominator`` (models, n, n // 2 + 1) is the other mean and
-    ``quotient`` what both leave to multiply a response with.
+    A filter is ``numerator`` (channels, n, n // 2 + 1) complex64 times ``quotient`` (models, n, n // 2 + 1) complex64.
+
+    * With ``average="spectra"``, equation 11 averages the two parts of equation 2. The label is the same in every
+      frame, so ``numerator`` is the mean of the spectra without it, ``denominator`` (models, n, n // 2 + 1) float32 is
+      the mean energy, and ``quotient`` is label / (denominator + λ).
+    * With ``average="filter"``, equation 11 averages the filter itself: ``numerator`` is W and ``quotient`` is 1.
+
+    References
+    ----------
+    J. F. Henriques, R. Caseiro, P. Martins and J. Batista, "High-Speed Tracking with Kernelized Correlation Filters",
+    TPAMI 2015, arXiv:1404.7584. H. K. Galoogahi, T. Sim and S. Lucey, "Multi-Channel Correlation Filters", ICCV 2013,
+    doi:10.1109/ICCV.2013.381.
     """
 
     def __init__(self, config: MFCMTConfig, search_window: SearchWindow, is_gray: bool) -> None:
@@ -56,7 +65,7 @@ class TemplateModel:
         self.denominator = np.zeros((len(blocks), *shape[1:]), np.float32)
         self.quotient = np.ones((len(blocks), *shape[1:]), np.complex64)
         self.background: BackgroundAwareFilter | None = None
-        self.background_filters = self.numerator[:0]  # no channels: no such model
+        self.background_filters = self.numerator[:0]  # without channels: there is no such model
         self.interval = config.background_interval
         if self.interval:
             self.background = BackgroundAwareFilter(search_window, shape[0], self.label_f, config.regularization)
@@ -64,30 +73,36 @@ class TemplateModel:
             self.names += ("background",)
 
     def spectra(self, patch: Image, gray: Image) -> Spectra:
-        """Half spectra of the windowed features of ``patch``, (channels, n, n // 2 + 1) complex64."""
+        """Return the half spectra of the windowed features of ``patch``, (channels, n, n // 2 + 1) complex64."""
         return self.transform.forward(self.features.extract(patch, gray))
 
     def respond(self, spectra: Spectra, out: npt.NDArray[np.float32]) -> None:
-        """Responses within reach into ``out`` (maps, 2·ry + 1, 2·rx + 1), in the order of ``names``."""
+        """Write the responses within reach to ``out`` (maps, 2·ry + 1, 2·rx + 1) float32, in the order of ``names``."""
         response_f = scratch("response_f", (len(self.names), *spectra.shape[1:]), np.complex64)
         respond_filters(self.numerator, self.quotient, self.blocks, self.background_filters, spectra, response_f)
         self.transform.backward(response_f, out)
 
     def respond_by_cue(self, spectra: Spectra) -> dict[str, npt.NDArray[np.float32]]:
-        """What each cue adds to the response of a joint filter, (2·ry + 1, 2·rx + 1), by cue: to look at."""
+        """Return by cue what it adds to the response of a joint filter, (2·ry + 1, 2·rx + 1) float32, for display."""
         blocks = np.array([(b.start, b.stop) for b in self.features.blocks.values()], np.int64)
         parts_f = np.empty((len(blocks), *spectra.shape[1:]), np.complex64)
-        quotient = np.broadcast_to(self.quotient, parts_f.shape)  # of a joint filter they have it in common
+        quotient = np.broadcast_to(self.quotient, parts_f.shape)  # the cues of a joint filter share it
         respond_filters(self.numerator, np.ascontiguousarray(quotient), blocks, self.numerator[:0], spectra, parts_f)
         parts = np.empty((len(blocks), 2 * self.transform.reach[1] + 1, 2 * self.transform.reach[0] + 1), np.float32)
         self.transform.backward(parts_f, parts)
         return dict(zip(self.features.blocks, parts, strict=True))
 
     def learn(self, spectra: Spectra, offset: tuple[float, float] = (0.0, 0.0), learned: int | None = None) -> None:
-        """Learn a patch of the target at the learning rate (equation 11), or at 1 the first time.
+        """Learn a window of the target with the learning rate (equation 11).
 
-        ``offset`` (x, y) in cells is where in the patch the target's centre is; ``spectra`` are turned to have it
-        in the middle. ``learned`` counts the frames learned before this one since the first; None is the first.
+        Parameters
+        ----------
+        spectra : ndarray of complex64, shape (channels, n, n // 2 + 1)
+            The window's spectra. They are changed: their phase is shifted to have the target in the middle.
+        offset : (float, float)
+            Cells (x, y) from the middle of the window to the target's center.
+        learned : int or None
+            Number of frames learned since the first one; None for the first one, which is learned with rate 1.
         """
         first = learned is None
         rate = np.float32(1) if first else self.rate
@@ -107,6 +122,6 @@ class TemplateModel:
             self.background.train(self.numerator, first)
 
     def refresh(self) -> None:
-        """Compute the gain from the denominator."""
+        """Compute ``quotient`` from ``denominator``."""
         if self.average == "spectra":
             divide_label(self.label_f, self.denominator, self.regularization, self.quotient)

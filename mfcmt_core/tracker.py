@@ -81,7 +81,8 @@ class MFCMT:
 
     References
     ----------
-    PAPERREF
+    P. Gao, Y. Ma, C. Li, K. Song, F. Wang and L. Xiao, "A Complementary Tracking Model with Multiple Features", 2018,
+    arXiv:1804.07459. Equations, sections and Algorithm 1 that the code names are those of this paper.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Scratch arrays that the trackers of one thread share, so that a tracker owns only its models."""
+"""Scratch arrays that all trackers of a thread share, so that a tracker owns only its models."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ _local = threading.local()
 
 
 def scratch(name: str, shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> npt.NDArray[Any]:
-    """An array of that shape in the memory of that name; its contents are whatever the last user left there.
+    """Return this thread's scratch array called ``name``. Its contents are undefined.
 
-    One buffer a name grows to the largest shape asked for, so that a process that has seen targets and frames
-    of a thousand shapes holds no more than one that saw the largest. A name has one dtype.
+    There is one buffer per name, which grows to the largest shape that was asked for: a process that tracks targets
+    of a thousand shapes holds no more memory than one that tracks the largest of them. A name has one dtype.
     """
     try:
         buffers: dict[str, tuple[tuple[int, ...], npt.NDArray[Any], npt.NDArray[Any]]] = _local.buffers

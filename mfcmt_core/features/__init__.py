@@ -1,4 +1,4 @@
-"""The template features of section III-A on one grid of cells: raw pixels, fHOG and colour names.
+"""The template features of section III-A on one grid of cells: raw pixels, fHOG and color names.
 
 Each cue is a block of planes of one stack, ``(cells, channels, cells)`` float32, rows first, times the Hann window.
 """
@@ -19,15 +19,15 @@ CUES = ("gray", "fhog", "color_names")
 
 
 def hann_window(cells: int) -> npt.NDArray[np.float32]:
-    """Separable cosine window (cells, cells) without a border of zeros."""
+    """Return the separable Hann window (cells, cells) float32, without its border of zeros."""
     hann = np.hanning(cells + 2)[1:-1]
     return np.outer(hann, hann).astype(np.float32)
 
 
 class FeatureStack:
-    """Extracts the cues of a configuration; ``blocks`` says which planes belong to which cue.
+    """Extracts the cues of a configuration. ``blocks`` maps each cue to its feature planes.
 
-    Colour names say nothing about a grey sequence and are left out there, as the field does.
+    A gray sequence gets no color names.
     """
 
     def __init__(self, config: MFCMTConfig, is_gray: bool) -> None:
@@ -47,12 +47,13 @@ class FeatureStack:
         self.channels = start
 
     def extract(self, patch: Image, gray: Image) -> npt.NDArray[np.float32]:
-        """Windowed features (cells, channels, cells) of ``patch`` (H, W[, 3]); scratch, valid until the next call.
+        """Return the windowed features of a patch, (cells, channels, cells) float32: rows, planes, columns.
 
-        ``gray`` (H, W) is the patch in grey.
+        ``patch`` is (H, W) or (H, W, 3) uint8 and ``gray`` (H, W) its gray version. The array is scratch until the
+        next call.
         """
         n, side = self.cells, self.cells * CELL
-        if len(patch) != side:  # 150 px hold 37 cells: what is left over is left out
+        if len(patch) != side:  # 150 pixels hold 37 cells; the rest is left out
             margin = (len(patch) - side) // 2
             patch, gray = (
                 np.ascontiguousarray(p[margin : margin + side, margin : margin + side]) for p in (patch, gray)

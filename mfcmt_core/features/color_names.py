@@ -1,10 +1,13 @@
-"""Colour names: how much each of eleven names fits a colour, as a table over the RGB cube.
+"""Color names: how well each of eleven names fits a color, as a table over the RGB cube.
 
-The table is computed from the fuzzy sets of Benavente, Vanrell and Baldrich, "Parametric fuzzy sets for
-automatic color naming" (JOSA A 25(10), 2008): in each of six bands of lightness a chromatic name is the
-product of two sigmoids across its hue sector and one around an elliptical achromatic centre; black, grey and
-white share what is left by lightness. The numbers below are the fit published there (CIELAB, angles in
-radians).
+The table is computed from published fuzzy sets. In each of six bands of lightness, the membership of a chromatic name
+is the product of two sigmoids across its hue sector and one around an elliptical achromatic center. Black, gray and
+white share the rest by lightness. The numbers below are the published fit (CIELAB, angles in radians).
+
+References
+----------
+R. Benavente, M. Vanrell and R. Baldrich, "Parametric fuzzy sets for automatic color naming", JOSA A 25(10), 2008,
+doi:10.1364/JOSAA.25.002582.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ LEVELS = 32  # of each of R, G, B
 MAX_VALUE = 1e6  # of a table from a file, so that spectra stay well inside float32
 
 _BANDS = (0.0, 31.0, 42.0, 51.0, 66.0, 76.0, 101.0)  # of L*
-# one row a band: centre a*, b*; slope, semi-axes and angle of the achromatic ellipse
+# one row per band: center a*, b*; slope, semi-axes and angle of the achromatic ellipse
 _CENTERS = np.array(
     [
         [0.42420, 0.24936, 9.84406, 5.88940, 7.47432, 0.04051],
@@ -94,7 +97,7 @@ def _sigmoid(x: npt.NDArray[np.float64], slope: float) -> npt.NDArray[np.float64
 
 
 def _cielab(rgb: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """CIELAB under D65 of sRGB in [0, 1], both (n, 3)."""
+    """Return CIELAB under D65 of sRGB in [0, 1], both (n, 3)."""
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     to_xyz = np.array(
         [[0.412424, 0.357579, 0.180464], [0.212656, 0.715158, 0.0721856], [0.0193324, 0.119193, 0.950444]]
@@ -105,7 +108,7 @@ def _cielab(rgb: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 def memberships(rgb: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """How much each of :data:`NAMES` fits: (n, 11), rows of sum 1, for sRGB colours (n, 3) in 0–255."""
+    """Return how well each of :data:`NAMES` fits sRGB colors (n, 3) in 0–255: (n, 11), each row with sum 1."""
     lab = _cielab(np.asarray(rgb, np.float64).reshape(-1, 3) / 255)
     out = np.zeros((len(lab), len(NAMES)))
     band = np.clip(np.searchsorted(_BANDS, lab[:, 0], side="right") - 1, 0, len(_SECTORS) - 1)
@@ -127,18 +130,18 @@ def memberships(rgb: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 
 def _bin_centers() -> npt.NDArray[np.float64]:
-    """The middle colour of each bin, (32768, 3) RGB; red runs fastest, as in every published table."""
+    """Return the middle color of each bin, (32768, 3) RGB. Red varies fastest, as in all published tables."""
     levels = np.arange(LEVELS) * (256 / LEVELS) + 128 / LEVELS
     b, g, r = np.meshgrid(levels, levels, levels, indexing="ij")
     return np.stack([r, g, b], axis=-1).reshape(-1, 3)
 
 
 def _read(file: str) -> npt.NDArray[np.float64]:
-    """The table in a ``.npy`` file, not yet of zero mean. Raises BadConfig."""
+    """Return the table in a ``.npy`` file as it is. Raises BadConfig."""
     if not Path(file).is_file():
         raise BadConfig(f"color_name_table {file!r} is not a file")
     try:
-        stored = np.lib.format.open_memmap(file, mode="r")  # reads no more than the header of what does not fit
+        stored = np.lib.format.open_memmap(file, mode="r")  # reads only the header of a file that does not fit
     except (OSError, ValueError) as error:
         raise BadConfig(f"color_name_table {file!r} cannot be read: {error}") from error
     if stored.ndim != 2 or len(stored) != LEVELS**3 or not 1 <= stored.shape[1] <= 16 or stored.dtype.kind not in "fiu":
@@ -151,16 +154,28 @@ def _read(file: str) -> npt.NDArray[np.float64]:
 
 @lru_cache(maxsize=4)
 def table(file: str | None = None) -> npt.NDArray[np.float32]:
-    """Colour-name features of the 32×32×32 RGB bins: (32768, L) float32, zero mean a column, read-only.
+    """Return the color-name features of the 32×32×32 RGB bins.
 
-    Bin ``r//8 + 32·(g//8) + 1024·(b//8)``. Without ``file`` L = 10: the eleven memberships add up to one, so
-    ten orthonormal combinations carry everything. ``file`` names a ``.npy`` of shape (32768, L ≤ 16) to use instead.
-    Raises BadConfig where the file cannot be used.
+    Parameters
+    ----------
+    file : str, optional
+        A ``.npy`` file of shape (32768, L) with L ≤ 16 to use instead of the computed table.
+
+    Returns
+    -------
+    ndarray of float32, shape (32768, L)
+        The features of bin ``r//8 + 32·(g//8) + 1024·(b//8)``, read-only; each column has mean zero. L is 10 without
+        ``file``: the eleven memberships add up to one, so ten orthonormal combinations hold all information.
+
+    Raises
+    ------
+    BadConfig
+        If the file cannot be used.
     """
     if file is None:
         values = memberships(_bin_centers())
         values -= values.mean(0)
-        # rows lie in the hyperplane of sum 0; Helmert's matrix is an orthonormal basis of it
+        # the rows have sum 0; Helmert's matrix is an orthonormal basis of that hyperplane
         n = len(NAMES)
         helmert = np.tril(np.ones((n - 1, n)), 0) - np.diag(np.arange(1, n), 1)[: n - 1]
         values = values @ (helmert / np.linalg.norm(helmert, axis=1, keepdims=True)).T

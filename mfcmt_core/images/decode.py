@@ -32,7 +32,7 @@ _TURN: dict[int, Callable[[Image], Any]] = {
 def decode(data: bytes, limits: FrameLimits, *, turned: bool = True) -> tuple[Image, FrameInfo]:
     """The pixels of one encoded image, with its EXIF orientation applied, and its header.
 
-    The image is ``uint8``, C-contiguous: BGR of shape ``(H, W, 3)``, or ``(H, W)`` when it is stored grey.
+    The image is ``uint8``, C-contiguous: BGR of shape ``(H, W, 3)``, or ``(H, W)`` when it is stored gray.
     16 bits are reduced to 8, alpha is dropped; where ``turned`` is False the pixels stay as they are stored.
     Raises :class:`FrameError` and nothing else: header limits are checked before any pixel, and a damaged JPEG or PNG
     is refused even where a picture could be made.

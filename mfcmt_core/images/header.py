@@ -214,7 +214,7 @@ def _too_many_scans(data: bytes, at: int, most: int) -> bool:
 
 def _png(data: bytes, limits: FrameLimits) -> FrameInfo:
     orientation = 0
-    header: tuple[int, int, int] | None = None  # width, height, colour type
+    header: tuple[int, int, int] | None = None  # width, height, color type
     at = len(_PNG_MAGIC)
     for _ in range(MAX_PARTS):
         length, name = struct.unpack_from(">I4s", data, at)

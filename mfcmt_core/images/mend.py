@@ -41,7 +41,7 @@ def mend(data: bytes) -> bytes:
 
 
 class _Component:
-    """One colour component: its sampling factors, and what the scans so far have told of it."""
+    """One color component: its sampling factors, and what the scans so far have told of it."""
 
     def __init__(self, across: int, down: int) -> None:
         if not (1 <= across <= 4 and 1 <= down <= 4):
@@ -103,7 +103,7 @@ class _Picture:
             raise ValueError("a component has no scan")
 
     def _application(self, marker: int, body: bytes) -> None:
-        """Keep what decides on the colour space."""
+        """Keep what decides on the color space."""
         if marker == 0xE0 and body.startswith(b"JFIF\0") and len(body) >= 14:
             self.parts.append(_JFIF)
         elif marker == 0xEE and body.startswith(b"Adobe") and len(body) >= 12:

@@ -1,4 +1,4 @@
-"""One place that says how kernels are compiled, and where what was compiled is found again."""
+"""How kernels are compiled, and where compiled kernels are kept and found."""
 
 # mypy: allow-untyped-calls
 from __future__ import annotations
@@ -20,9 +20,9 @@ cpu.fit()
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile for this CPU on first call, without the GIL, and keep the result on disk.
+    """Return ``function`` as a kernel: compiled on its first call, run without the GIL, cached on disk.
 
-    ``fastmath`` lets sums be vectorised; inputs are finite by construction.
+    ``fastmath`` allows sums to be vectorized. The inputs are finite by construction.
     """
     compiled = numba.njit(fastmath=True, nogil=True, error_model="numpy", pipeline_class=_Compiler)
     dispatcher: Any = compiled(function)
@@ -33,7 +33,7 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
 class _Compiler(Compiler):
     """Compiles a kernel so that it gives the same bits in every process.
 
-    Arrays handed to one kernel do not overlap where it writes, so loops over many of them need no test for it.
+    ``noalias`` promises that the arrays passed to a kernel do not overlap, so that its loops need not test for it.
     """
 
     def compile_extra(self, func: Callable[..., Any]) -> Any:
@@ -44,11 +44,11 @@ class _Compiler(Compiler):
 
 
 class _SelfContained(JITCodeLibrary):
-    """Machine code that calls its own copies of what it calls, and no other's.
+    """Machine code that calls its own copies of the kernels it uses.
 
-    A kernel holds a copy of each kernel it calls, optimised in its place. numba leaves these copies open to
-    replacement: where the process has loaded the called kernel too, as it has after compiling it, the linker takes
-    that one instead, which rounds differently. A private copy cannot be replaced.
+    A kernel holds an optimized copy of each kernel that it calls. numba lets the linker replace these copies: if the
+    process has loaded the called kernel too, as after compiling it, the linker takes that one, which rounds
+    differently. A private copy cannot be replaced.
     """
 
     def _finalize_final_module(self) -> None:
@@ -59,7 +59,7 @@ class _SelfContained(JITCodeLibrary):
 
 
 class _Ready:
-    """A place that need not be writable: numba itself passes over a cache that it could not also fill."""
+    """Mixin for a cache folder that need not be writable. numba itself ignores a cache that it cannot write."""
 
     def ensure_cache_path(self) -> None:
         pass
@@ -82,8 +82,11 @@ class _ReadyCache(caching.FunctionCache):
 
 
 class _Cache:
-    """numba's cache of one function; behind it, writable or not, what was put into ``NUMBA_CACHE_DIR`` or else
-    beside the source when this was installed. With no place to write, the rest is compiled in memory."""
+    """numba's cache of one function, followed by the read-only cache of the installation.
+
+    The second is what was put into ``NUMBA_CACHE_DIR``, or else beside the source, when the package was installed. A
+    kernel that is in neither is compiled, and kept in memory only if no folder is writable.
+    """
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._own: Any = caching.NullCache()

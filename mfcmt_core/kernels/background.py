@@ -1,4 +1,4 @@
-"""The step of ADMM that is element-wise in the frequencies."""
+"""The step of ADMM that is element-wise over the frequencies."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from ._jit import kernel
 
 @kernel
 def solve_background(mean_spectra, label, power, last_penalty, penalty, filters, unmasked):  # type: ignore[no-untyped-def]
-    """The unconstrained filter for this ``penalty``, plus the multiplier: what is to be masked next.
+    """Solve for the filter without the mask at this ``penalty`` γ, and add the multiplier: one step of ADMM.
 
-    ``mean_spectra`` (channels, n, half) complex64 are the target's spectra x, ``label`` the conjugate of the label over
-    n², ``power`` Σ|x|²/n², ``filters`` the masked filter g of the last iteration and ``unmasked`` what it was
-    masked from at the penalty ``last_penalty``; ``unmasked`` becomes x·label + γg − x·t / (γ + power), where
-    t = Σ conj(x)·(x·label + γg − h) / n² by Sherman–Morrison and h is the multiplier, ``unmasked`` − before·g.
+    ``mean_spectra`` (channels, n, half) complex64 are the target's spectra x, ``label`` (n, half) is the conjugate of
+    the label over n², ``power`` (n, half) is Σ|x|²/n², and ``filters`` are the masked filter g of the last iteration.
+    ``unmasked`` is what g was masked from at the penalty ``last_penalty``, and becomes
+    x·label + γg − x·t / (γ + power) with t = Σ conj(x)·(x·label + γg − h) / n² (Sherman–Morrison), where
+    h = ``unmasked`` − last_penalty·g is the multiplier.
     """
     channels, n, _ = mean_spectra.shape
     size = power.size

@@ -1,4 +1,4 @@
-"""Means over cells: raw pixels and colour names.
+"""Features that are means over cells: raw pixels and color names.
 
 Features are stacks of planes with their rows outermost, ``(cells, channels, cells)`` float32.
 """
@@ -12,7 +12,7 @@ from ._jit import kernel
 
 @kernel
 def gray_cells(gray, hann, channel, out):  # type: ignore[no-untyped-def]
-    """Mean grey of each cell of 4×4 in [-0.5, 0.5], windowed, into one plane of ``out``; ``gray`` uint8."""
+    """Write the windowed mean gray of each cell of 4×4 pixels, in [-0.5, 0.5], to one plane of ``out``."""
     cells_y, _, cells_x = out.shape
     scale, half = np.float32(1 / (16 * 255)), np.float32(0.5)
     for cy in range(cells_y):
@@ -26,7 +26,7 @@ def gray_cells(gray, hann, channel, out):  # type: ignore[no-untyped-def]
 
 @kernel
 def color_name_cells(patch, table, hann, first, out):  # type: ignore[no-untyped-def]
-    """Colour-name features of each cell's mean colour, windowed, into the planes of ``out`` from ``first`` on.
+    """Write the windowed color-name features of each cell's mean color to the planes of ``out`` from ``first`` on.
 
     ``patch`` (4 cells, 4 cells, 3) uint8 BGR, ``table`` (32768, L) float32.
     """

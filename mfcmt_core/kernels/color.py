@@ -1,4 +1,4 @@
-"""Colour histograms, their per-pixel look-up, and the sums of an integral image."""
+"""Color histograms, their per-pixel look-up, and means over boxes by an integral image."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ._jit import kernel
 
 @kernel
 def bin_gray(patch, bins):  # type: ignore[no-untyped-def]
-    """Index of each grey pixel among 32 bins: ``bins`` (H, W) uint16 ← ``patch`` (H, W) uint8."""
+    """Write the bin, of 32, of each gray pixel: ``bins`` (H, W) uint16 ← ``patch`` (H, W) uint8."""
     height, width = bins.shape
     for y in range(height):
         for x in range(width):
@@ -18,7 +18,7 @@ def bin_gray(patch, bins):  # type: ignore[no-untyped-def]
 
 @kernel
 def count_color(bin_, one, number, counts, shown):  # type: ignore[no-untyped-def]
-    """Add ``one`` to a bin's count; ``shown`` lists the bins that have one. Returns the length of the list."""
+    """Add ``one`` to a bin's count. Append the bin to ``shown`` if it is its first; return the length of that list."""
     count = counts[bin_]
     shown[number] = bin_
     counts[bin_] = count + one
@@ -27,7 +27,7 @@ def count_color(bin_, one, number, counts, shown):  # type: ignore[no-untyped-de
 
 @kernel
 def shift(rectangle, dx, dy, height, width):  # type: ignore[no-untyped-def]
-    """``(top, left, bottom, right)`` moved by so many pixels, as far as it stays in the patch; its area, 1 at least."""
+    """Return ``(top, left, bottom, right)`` shifted by (dx, dy) and clipped to the patch, and its area, at least 1."""
     top, bottom = min(max(rectangle[0] + dy, 0), height), min(max(rectangle[2] + dy, 0), height)
     left, right = min(max(rectangle[1] + dx, 0), width), min(max(rectangle[3] + dx, 0), width)
     return (top, left, bottom, right), max((bottom - top) * (right - left), 1)
@@ -37,13 +37,13 @@ def shift(rectangle, dx, dy, height, width):  # type: ignore[no-untyped-def]
 def learn_colors(  # type: ignore[no-untyped-def]
     bins, inner, outer, dx, dy, rate, decay_scale, unseen, shown, counts, histograms, lookup
 ):
-    """Equation 11 on the colours of a patch: each pixel adds to its bin of a region's histogram.
+    """Add the colors of a patch to both histograms (equation 11) and update the likelihoods of its bins.
 
-    ``inner`` and ``outer`` are ``(top, left, bottom, right)``, moved by ``dx``, ``dy`` pixels: pixels inside
-    ``inner`` are foreground, those outside ``outer`` background, those between neither; a region adds
-    ``rate · gain`` in all. ``histograms`` (bins, 2) float32 holds both, ``lookup`` what :func:`likelihood` makes of
-    them: no bin is touched that is not shown. ``shown`` (pixels,) uint16 is scratch; ``counts`` (bins,) int64, a
-    count in either half, is 0 before and after.
+    ``inner`` and ``outer`` are ``(top, left, bottom, right)``, shifted by (``dx``, ``dy``) pixels. Pixels inside
+    ``inner`` are foreground, those outside ``outer`` are background, and those between are neither. Each region adds
+    ``rate · decay_scale`` in all. ``histograms`` (bins, 2) float32 holds both histograms, ``lookup`` (bins,) float32
+    the :func:`likelihood` of each bin. ``shown`` (pixels,) uint16 is scratch. ``counts`` (bins,) int64 holds one count
+    in each half and is 0 before and after the call.
     """
     height, width = bins.shape
     inner, front = shift(inner, dx, dy, height, width)
@@ -73,21 +73,21 @@ def learn_colors(  # type: ignore[no-untyped-def]
 
 @kernel
 def likelihood(foreground, background, unseen):  # type: ignore[no-untyped-def]
-    """Equation 6: F / (F + B), and ``unseen`` where neither region has shown the colour."""
+    """Return F / (F + B) (equation 6), or ``unseen`` if neither region has shown the color."""
     total = foreground + background
     return foreground / total if total > 0 else unseen
 
 
 @kernel
 def tabulate(histograms, unseen, lookup):  # type: ignore[no-untyped-def]
-    """:func:`likelihood` of every bin of ``histograms`` (bins, 2)."""
+    """Write the :func:`likelihood` of every bin of ``histograms`` (bins, 2) to ``lookup`` (bins,)."""
     for i in range(lookup.size):
         lookup[i] = likelihood(histograms[i, 0], histograms[i, 1], unseen)
 
 
 @kernel
 def integrate_likelihood(bins, lookup, integral):  # type: ignore[no-untyped-def]
-    """Per-pixel likelihood summed up: ``integral`` (H + 1, W + 1) float32, the recursion of equation 7."""
+    """Write the integral image of the pixels' likelihoods, ``integral`` (H + 1, W + 1) float32 (equation 7)."""
     height, width = bins.shape
     integral[0, :] = 0
     for y in range(height):
@@ -100,7 +100,7 @@ def integrate_likelihood(bins, lookup, integral):  # type: ignore[no-untyped-def
 
 @kernel
 def box_means(integral, rows, columns, box_height, box_width, out):  # type: ignore[no-untyped-def]
-    """Mean over a box at each placement: four corners of the integral image (equation 7).
+    """Write the mean over a box at each place, from four corners of the integral image (equation 7).
 
     ``rows`` and ``columns`` are the tops and lefts of the boxes; ``out`` (len(rows), len(columns)) float32.
     """
@@ -116,9 +116,9 @@ def box_means(integral, rows, columns, box_height, box_width, out):  # type: ign
 def subtract_bands(  # type: ignore[no-untyped-def]
     integral, rows, columns, box_height, box_width, band_height, band_width, weight, out
 ):
-    """Take from each box's mean in ``out`` the mean over the band around that box, times ``weight``.
+    """Subtract from each box's mean in ``out`` the mean over the band around the box, times ``weight``.
 
-    The band counts as far as it lies in the patch, and not at all where it lies outside.
+    Only the part of the band that lies in the patch counts.
     """
     height, width = integral.shape[0] - 1, integral.shape[1] - 1
     box_area = box_height * box_width

@@ -1,4 +1,4 @@
-"""What the transforms need beside matrix products."""
+"""The steps of the transforms that are not matrix products."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from ._jit import kernel
 
 @kernel
 def fold_rows(grids, even, odd):  # type: ignore[no-untyped-def]
-    """Sums and differences of the rows k and n - k of ``grids`` (n, columns).
+    """Write the sums of the rows k and n - k of ``grids`` (n, columns) to ``even``, their differences to ``odd``.
 
-    ``even`` (n // 2 + 1, columns) has the rows that are their own opposite as they are; ``odd`` starts at k = 1.
+    ``even`` (n // 2 + 1, columns) has the rows that are their own opposite unchanged. ``odd`` starts at k = 1.
     """
     n, columns = grids.shape
     even[0] = grids[0]
@@ -28,10 +28,10 @@ def fold_rows(grids, even, odd):  # type: ignore[no-untyped-def]
 
 @kernel
 def assemble(products, out):  # type: ignore[no-untyped-def]
-    """Half spectra ``out`` (channels, n, half) complex64 from their real and odd parts.
+    """Assemble half spectra ``out`` (channels, n, half) complex64 from their cosine and sine sums.
 
-    ``products`` (n, channels, ≥ 2 · half) float32: rows are cosine sums from frequency 0 and sine sums from 1,
-    columns ``half`` cosine sums and ``half`` sine sums.
+    ``products`` is (n, channels, ≥ 2 · half) float32. Its rows are the cosine sums from frequency 0, then the sine
+    sums from frequency 1; its columns are ``half`` cosine sums, then ``half`` sine sums.
     """
     channels, n, half = out.shape
     for channel in range(channels):

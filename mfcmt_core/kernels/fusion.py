@@ -1,4 +1,4 @@
-"""Response maps to probability maps and their fusion; the maps are a few hundred cells, so plain loops do."""
+"""Turn response maps into probability maps and fuse them. A map has a few hundred cells, so plain loops suffice."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from ._jit import kernel
 
 @kernel
 def fuse_maps(responses, weights, floor, power, tops, fused):  # type: ignore[no-untyped-def]
-    """``responses`` (maps, rows, columns) float32 become probability maps in place, ``fused`` their mean.
+    """Turn ``responses`` (maps, rows, columns) into probability maps in place, and write their mean to ``fused``.
 
-    ``tops`` (maps,) float32 gets the highest value of each before that.
+    ``tops`` (maps,) float32 receives the highest value of each response.
 
-    ``floor`` 0: negatives are clipped; 1: the minimum is subtracted; 2: responses stay as they are. Then
-    each map is raised to ``power`` and divided by its sum, unless ``floor`` is 2. A flat map becomes uniform.
+    ``floor`` 0 clips negative values, 1 subtracts the minimum, 2 leaves the responses as they are. Unless ``floor``
+    is 2, each map is then raised to ``power`` and divided by its sum. A flat map becomes uniform.
     """
     maps, rows, columns = responses.shape
     fused[:] = 0
@@ -57,13 +57,13 @@ def fuse_maps(responses, weights, floor, power, tops, fused):  # type: ignore[no
 
 @kernel
 def find_peak(fused, leave_out):  # type: ignore[no-untyped-def]
-    """``(row, column, height, psr)`` of the highest cell, row and column refined by a parabola each.
+    """Return ``(row, column, height, psr)`` of the highest cell. A parabola refines row and column.
 
-    The peak-to-sidelobe ratio is (height - mean) / standard deviation of the cells further than
-    ``leave_out`` from the peak in row or column; 0 where none are left or they are all alike.
+    The peak-to-sidelobe ratio is (height - mean) / standard deviation, over the cells that are more than
+    ``leave_out`` rows or columns from the peak. It is 0 if there are none or they are all equal.
     """
     rows, columns = fused.shape
-    pi, pj = rows // 2, columns // 2  # where a flat map leaves the target
+    pi, pj = rows // 2, columns // 2  # the peak of a flat map is its middle
     for i in range(rows):
         for j in range(columns):
             if fused[i, j] > fused[pi, pj]:
@@ -97,6 +97,6 @@ def find_peak(fused, leave_out):  # type: ignore[no-untyped-def]
 
 @kernel
 def fuse_and_find(responses, weights, floor, power, leave_out, tops, fused):  # type: ignore[no-untyped-def]
-    """:func:`fuse_maps` and :func:`find_peak` in one call."""
+    """Call :func:`fuse_maps`, then return :func:`find_peak` of the fused map."""
     fuse_maps(responses, weights, floor, power, tops, fused)
     return find_peak(fused, leave_out)

@@ -1,6 +1,11 @@
-"""fHOG: the 31-channel histogram of oriented gradients of Felzenszwalb et al. (PAMI 2010).
+"""fHOG: histograms of oriented gradients with 31 channels.
 
 Arrays are planar, ``(rows, channels, columns)``, so that every inner loop runs along a row of cells.
+
+References
+----------
+P. F. Felzenszwalb, R. B. Girshick, D. McAllester and D. Ramanan, "Object Detection with Discriminatively Trained
+Part-Based Models", TPAMI 2010, doi:10.1109/TPAMI.2009.167.
 """
 
 from __future__ import annotations
@@ -20,12 +25,12 @@ _BORDERS = tuple(np.float32(np.tan(np.radians(a))) for a in (10, 30, 50, 70))  #
 
 @kernel
 def direction(dx, dy):  # type: ignore[no-untyped-def]
-    """The nearest of 18 directions 20° apart, uint8; 0 for no gradient. float32 all through, for full SIMD lanes."""
+    """Return the nearest of 18 directions 20° apart, uint8; 0 for no gradient. float32 fills the SIMD lanes."""
     one, zero = np.float32(1), np.float32(0)
     x, y = abs(dx), abs(dy)
     quarter = (one if y > _BORDERS[0] * x else zero) + (one if y > _BORDERS[1] * x else zero)
     quarter += (one if y > _BORDERS[2] * x else zero) + (one if y > _BORDERS[3] * x else zero)
-    turned = dy < 0  # by half a turn into the upper half plane
+    turned = dy < 0  # by 180° into the upper half plane
     mirrored = (-dx if turned else dx) < 0
     half = np.float32(ORIENTATIONS) - quarter if mirrored else quarter
     full = half + np.float32(ORIENTATIONS) if turned else half
@@ -34,7 +39,7 @@ def direction(dx, dy):  # type: ignore[no-untyped-def]
 
 @kernel
 def gradients(gray, magnitude, orientation):  # type: ignore[no-untyped-def]
-    """Central differences of ``gray`` (H, W) uint8 → ``magnitude`` float32 and signed ``orientation`` uint8.
+    """Write ``magnitude`` float32 and signed ``orientation`` uint8 of the central differences of ``gray`` (H, W) uint8.
 
     The orientation is the nearest of 18 directions; the border repeats.
     """
@@ -53,10 +58,10 @@ def gradients(gray, magnitude, orientation):  # type: ignore[no-untyped-def]
 
 @kernel
 def histogram_cells(magnitude, orientation, rows, histogram):  # type: ignore[no-untyped-def]
-    """Bilinear votes of pixels into cells of 4×4: ``histogram`` (cells_y, 18, cells_x + 2) float32.
+    """Add the bilinear votes of pixels to cells of 4×4: ``histogram`` (cells_y, 18, cells_x + 2) float32.
 
-    Its first and last column take what falls outside. ``rows`` (4, 18, cells_x + 2) float32 is scratch: four rows of
-    pixels vote into four buffers, which keeps consecutive additions to the same bin apart.
+    Its first and last columns take the votes outside the grid. ``rows`` (4, 18, cells_x + 2) float32 is scratch: four
+    rows of pixels vote into four buffers, so that consecutive additions go to different bins.
     """
     cells_y, _, columns = histogram.shape
     histogram[:] = 0
@@ -95,11 +100,11 @@ def histogram_cells(magnitude, orientation, rows, histogram):  # type: ignore[no
 
 @kernel
 def normalize_cells(histogram, hann, epsilon, norms, first, out):  # type: ignore[no-untyped-def]
-    """Block-normalise, clip and window the cells of :func:`histogram_cells`: 31 planes from ``first`` on of ``out``.
+    """Normalize, clip and window the cells of :func:`histogram_cells` into 31 planes of ``out``, from ``first`` on.
 
-    ``out`` (cells_y, channels, cells_x); ``hann`` (cells_y, cells_x) multiplies every channel; ``epsilon`` is
-    added to each block's energy; ``norms`` (cells_y + 1, cells_x + 1) is scratch. Blocks beyond the border repeat
-    the last cell.
+    ``out`` is (cells_y, channels, cells_x). ``hann`` (cells_y, cells_x) multiplies every channel. ``epsilon`` is added
+    to each block's energy. ``norms`` (cells_y + 1, cells_x + 1) is scratch. Blocks beyond the border repeat the last
+    cell.
     """
     cells_y, bins, cells_x = histogram.shape[0], histogram.shape[1], histogram.shape[2] - 2
     half = bins // 2
@@ -161,7 +166,7 @@ def normalize_cells(histogram, hann, epsilon, norms, first, out):  # type: ignor
 
 @kernel
 def hog_cells(gray, hann, epsilon, first, magnitude, orientation, rows, histogram, norms, out):  # type: ignore[no-untyped-def]
-    """The whole of fHOG in one call; scratch as its parts want it: gradients, histogram, normalised planes."""
+    """Compute fHOG from a gray patch: gradients, histogram and normalized planes in one call."""
     gradients(gray, magnitude, orientation)
     histogram_cells(magnitude, orientation, rows, histogram)
     normalize_cells(histogram, hann, epsilon, norms, first, out)

@@ -1,8 +1,7 @@
-"""Samples of the scale filter: one small patch a scale, all scales side by side in SIMD lanes.
+"""The samples of the scale filter: one small patch per scale, with all scales side by side in SIMD lanes.
 
-Arrays of pixels and cells end in the axis of scales, so that every inner loop runs over them. Scratch comes from the
-caller: arrays that a kernel allocates itself may overlap for all that its compiler knows, and are tested for it in
-every inner loop.
+The last axis of every array is the scales, so that each inner loop runs over them. The caller provides the scratch
+arrays: the compiler cannot know that arrays allocated in a kernel do not overlap, and would test it in every loop.
 """
 
 from __future__ import annotations
@@ -15,9 +14,9 @@ from .hog import CLIP, ORIENTATIONS, SIGNED, TEXTURE, direction
 
 @kernel
 def pack_quads(gray, quads):  # type: ignore[no-untyped-def]
-    """Each pixel with its right, lower and lower right neighbour in one word: ``quads`` (H, W) uint32 ← ``gray``.
+    """Pack each pixel with its right, lower and lower right neighbor into a word: ``quads`` (H, W) uint32 ← ``gray``.
 
-    The border repeats. Interpolation then needs one load a sample instead of four.
+    The border repeats. Interpolation then loads one word per sample instead of four pixels.
     """
     height, width = gray.shape
     for y in range(height):
@@ -33,10 +32,10 @@ def pack_quads(gray, quads):  # type: ignore[no-untyped-def]
 
 @kernel
 def sample_scales(quads, center_x, center_y, step_x, step_y, out):  # type: ignore[no-untyped-def]
-    """Bilinear samples of a grey picture around a centre, one grid of steps a scale.
+    """Sample a gray picture around a center bilinearly, on one grid per scale.
 
-    ``quads`` (H, W) is the picture as :func:`pack_quads` leaves it; ``step_x``, ``step_y`` (lanes,) float32 are
-    the distances of neighbouring samples in its pixels; ``out`` (h, w, lanes) float32. Beyond the border the
+    ``quads`` (H, W) uint32 is the picture from :func:`pack_quads`. ``step_x`` and ``step_y`` (lanes,) float32 are the
+    distances between neighboring samples in its pixels. ``out`` is (h, w, lanes) float32. Beyond the border the
     nearest pixel repeats.
     """
     height, width, lanes = out.shape
@@ -72,7 +71,10 @@ def sample_scales(quads, center_x, center_y, step_x, step_y, out):  # type: igno
 
 @kernel
 def scale_gradients(samples, magnitude, orientation):  # type: ignore[no-untyped-def]
-    """Central differences of ``samples`` (h, w, lanes) → ``magnitude`` and ``orientation``; the border repeats."""
+    """Write ``magnitude`` and ``orientation`` of the central differences of ``samples`` (h, w, lanes).
+
+    The border repeats.
+    """
     height, width, lanes = samples.shape
     for y in range(height):
         above, row, below = samples[max(y - 1, 0)], samples[y], samples[min(y + 1, height - 1)]
@@ -87,9 +89,9 @@ def scale_gradients(samples, magnitude, orientation):  # type: ignore[no-untyped
 
 @kernel
 def scale_histogram(magnitude, orientation, histogram):  # type: ignore[no-untyped-def]
-    """Bilinear votes of gradients (h, w, lanes) into cells of 4×4.
+    """Add the bilinear votes of gradients (h, w, lanes) to cells of 4×4 pixels.
 
-    ``histogram`` (h/4 · w/4 + 1, 18, lanes) float32, its last cell for what falls outside the grid.
+    ``histogram`` is (h/4 · w/4 + 1, 18, lanes) float32. Its last cell takes the votes outside the grid.
     """
     height, width, lanes = magnitude.shape
     cells_y, cells_x = height // 4, width // 4
@@ -118,7 +120,7 @@ def scale_histogram(magnitude, orientation, histogram):  # type: ignore[no-untyp
 
 @kernel
 def scale_norms(histogram, epsilon, energy, norms):  # type: ignore[no-untyped-def]
-    """One over the energy's root of each block of 2×2 cells: ``norms`` (cells_y + 1, cells_x + 1, lanes).
+    """Write 1 / √energy of each block of 2×2 cells: ``norms`` (cells_y + 1, cells_x + 1, lanes).
 
     ``energy`` (cells_y, cells_x, lanes) is scratch.
     """
@@ -144,9 +146,9 @@ def scale_norms(histogram, epsilon, energy, norms):  # type: ignore[no-untyped-d
 
 @kernel
 def scale_features(histogram, norms, hann, texture, out):  # type: ignore[no-untyped-def]
-    """fHOG of every scale times the window over scales: ``out`` (cells, 31, lanes).
+    """Write the fHOG features of every scale times the Hann window over scales: ``out`` (cells, 31, lanes).
 
-    ``hann`` (lanes,) is 0 where a lane is none of the scales; ``texture`` (4, lanes) is scratch.
+    ``hann`` (lanes,) is 0 for lanes that pad the scales. ``texture`` (4, lanes) is scratch.
     """
     cells_y, cells_x, lanes = norms.shape[0] - 1, norms.shape[1] - 1, norms.shape[2]
     half = np.float32(0.5)
@@ -184,7 +186,7 @@ def scale_hog(  # type: ignore[no-untyped-def]
     gray, center_x, center_y, step_x, step_y, epsilon, hann,
     quads, samples, magnitude, orientation, histogram, energy, norms, texture, out,
 ):  # fmt: skip
-    """From a grey picture to the features of every scale in one call; scratch as its parts want it."""
+    """Compute the features of every scale from a gray picture: all steps of this module in one call."""
     pack_quads(gray, quads)
     sample_scales(quads, center_x, center_y, step_x, step_y, samples)
     scale_gradients(samples, magnitude, orientation)
@@ -195,9 +197,9 @@ def scale_hog(  # type: ignore[no-untyped-def]
 
 @kernel
 def respond_scales(spectra, numerator, label_f, energy, regularization, products, response_f):  # type: ignore[no-untyped-def]
-    """Equation 3 along scales: ``response_f`` (half,) ← label / (energy + λ) · Σ conj(mean) · spectrum over features.
+    """Apply the filter (equation 3): ``response_f`` (half,) ← label / (energy + λ) · Σ conj(numerator) · spectrum.
 
-    ``spectra`` and ``numerator`` (cells, 31, half) complex64; ``products`` (31, half) complex64 is scratch.
+    ``spectra`` and ``numerator`` are (cells, 31, half) complex64. ``products`` (31, half) complex64 is scratch.
     """
     products[:] = 0
     total = products.ravel()
@@ -211,10 +213,10 @@ def respond_scales(spectra, numerator, label_f, energy, regularization, products
 
 @kernel
 def learn_scales(spectra, angles, rate, numerator, energy, rotations, squares):  # type: ignore[no-untyped-def]
-    """Running means of ``spectra`` (cells, 31, half) and of their ``energy`` (half,), Σ |spectrum|² over features.
+    """Average ``spectra`` (cells, 31, half) into ``numerator`` and their energy into ``energy`` (half,).
 
-    Each frequency is turned by its angle of ``angles`` (half,), which moves the spectra along the scales. ``rotations``
-    (31, half) complex64 and ``squares`` (31, half) are scratch.
+    The phase of each frequency is shifted by its angle in ``angles`` (half,), which moves the spectra along the
+    scales. ``rotations`` (31, half) complex64 and ``squares`` (31, half) float32 are scratch.
     """
     keep = np.float32(1) - rate
     for k in range(angles.size):

@@ -1,6 +1,6 @@
-"""Element-wise passes of the correlation filters, over half spectra ``(channels, n, n // 2 + 1)`` complex64.
+"""Element-wise loops of the correlation filters, over half spectra ``(channels, n, n // 2 + 1)`` complex64.
 
-Each frequency is for itself, so the loops run over all of a channel's frequencies at once.
+The frequencies do not depend on each other, so each loop runs over all frequencies of a channel.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from ._jit import kernel
 
 @kernel
 def correlate(filters, spectra, first, last, response_f):  # type: ignore[no-untyped-def]
-    """``response_f`` (n, n // 2 + 1) ← Σ conj(filter) · spectrum over the channels from ``first`` to ``last`` - 1."""
+    """Sum conj(filter) · spectrum over the channels ``first`` to ``last`` - 1 into ``response_f`` (n, n // 2 + 1)."""
     total = response_f.ravel()
     total[:] = 0
     for channel in range(first, last):
@@ -50,7 +50,7 @@ def divide_label(label_f, denominator, regularization, quotient):  # type: ignor
 
 @kernel
 def energy(spectra, block, out):  # type: ignore[no-untyped-def]
-    """Σ |spectrum|² over the channels of a block, ``out`` (n, n // 2 + 1) float32: equation 2's denominator."""
+    """Sum |spectrum|² over the channels of a block into ``out`` (n, n // 2 + 1) float32: equation 2's denominator."""
     total = out.ravel()
     total[:] = 0
     for channel in range(block[0], block[1]):
@@ -61,7 +61,7 @@ def energy(spectra, block, out):  # type: ignore[no-untyped-def]
 
 @kernel
 def phase_shift(spectra, dx, dy):  # type: ignore[no-untyped-def]
-    """Move what ``spectra`` show by (-dx, -dy) cells, in place: the shift theorem."""
+    """Shift the content of ``spectra`` by (-dx, -dy) cells in place, by the shift theorem."""
     channels, n, half = spectra.shape
     unit = 2 * np.pi / n
     columns = np.empty(half, np.complex64)
@@ -82,7 +82,7 @@ def phase_shift(spectra, dx, dy):  # type: ignore[no-untyped-def]
 
 @kernel
 def learn_filters(spectra, label_f, blocks, regularization, rate, energies, filters):  # type: ignore[no-untyped-def]
-    """Equations 2 and 11 to the letter: filters of this frame alone, averaged into ``filters``.
+    """Average the filters of this frame alone into ``filters`` (equations 2 and 11 to the letter).
 
     ``energies`` (models, n, n // 2 + 1) float32 holds :func:`energy` of each block.
     """
@@ -101,9 +101,9 @@ def learn_filters(spectra, label_f, blocks, regularization, rate, energies, filt
 
 @kernel
 def learn_spectra(spectra, blocks, rate, numerator, denominator):  # type: ignore[no-untyped-def]
-    """Equation 11 on numerator and denominator of equation 2, the numerator without the label.
+    """Average ``spectra`` into ``numerator`` and their energy into ``denominator`` (equation 11).
 
-    That is the same in every frame, so the numerator's mean is the label times the ``numerator`` of spectra.
+    ``numerator`` is that of equation 2 without the label, which is the same in every frame.
     """
     keep = np.float32(1) - rate
     for m in range(blocks.shape[0]):
@@ -121,7 +121,7 @@ def learn_spectra(spectra, blocks, rate, numerator, denominator):  # type: ignor
 def learn_shifted_spectra(  # type: ignore[no-untyped-def]
     spectra, dx, dy, blocks, rate, label_f, regularization, numerator, denominator, quotient
 ):
-    """:func:`phase_shift`, :func:`learn_spectra` and :func:`divide_label` in one call."""
+    """Call :func:`phase_shift`, :func:`learn_spectra` and :func:`divide_label`."""
     if dx != 0 or dy != 0:
         phase_shift(spectra, dx, dy)
     learn_spectra(spectra, blocks, rate, numerator, denominator)

@@ -32,9 +32,9 @@ class Scene:
     ``size`` is the frame's (width, height) and ``target`` the target's first, px. ``speed`` bounds the motion
     a frame in sizes of the target (the path shrinks to fit), ``zoom`` is the largest scale (1 / ``zoom`` the
     smallest), ``hide`` the width of a post that the target passes behind (in target widths; 0: no post),
-    ``light`` how far the brightness swings (0..1), ``rivals`` how many lookalikes in other colours there
+    ``light`` how far the brightness swings (0..1), ``rivals`` how many lookalikes in other colors there
     are, ``pan`` how far the camera turns (in frame widths) and ``grain`` the sensor noise (standard
-    deviation, grey levels). With ``leaves`` the target goes out of the frame and comes back.
+    deviation, gray levels). With ``leaves`` the target goes out of the frame and comes back.
     """
 
     size: tuple[int, int] = (320, 240)
@@ -150,8 +150,8 @@ def render(scene: Scene, *, seed: int = 0, name: str = "scene") -> Clip:
     def draw(i: int) -> Image:
         frame = backdrop.copy()
         if margin:
-            centre = ((width - 1) / 2 + camera[i], (height - 1) / 2)
-            frame = paint.f32(cv2.getRectSubPix(backdrop, (width, height), centre))
+            center = ((width - 1) / 2 + camera[i], (height - 1) / 2)
+            frame = paint.f32(cv2.getRectSubPix(backdrop, (width, height), center))
         for picture, path in rivals:
             paint.blend(frame, picture, path[i])
         paint.blend(frame, target(i), boxes[i])
@@ -198,7 +198,7 @@ def _plate(scene: Scene, rng: np.random.Generator) -> paint.Picture:
 
 
 def _rival(scene: Scene, rng: np.random.Generator, k: int) -> paint.Picture:
-    """A lookalike: the same thing in other colours."""
+    """A lookalike: the same thing in other colors."""
     if scene.balloons:
         return paint.balloon(1 + k, 0.4 * k)
     order = ((1, 2, 0, 3), (2, 0, 1, 3), (0, 2, 1, 3))[k % 3]

@@ -1,6 +1,6 @@
 """Procedural pictures for the synthetic sequences: landscape, balloon, tower, tree, textured plates.
 
-Pictures are ``float32`` BGR in 0..255; sprites are BGRA, the alpha in 0..1 and the colours already
+Pictures are ``float32`` BGR in 0..255; sprites are BGRA, the alpha in 0..1 and the colors already
 multiplied with it, so that they can be warped and laid over a frame as they are.
 """
 
@@ -27,7 +27,7 @@ FIELDS = (
     (74, 138, 96),
     (126, 104, 122),
 )
-RANGES = (  # of mountains: height, haze, colour, where the snow begins
+RANGES = (  # of mountains: height, haze, color, where the snow begins
     (0.24, 0.42, (166, 140, 116), 0.42),
     (0.15, 0.28, (128, 122, 92), 9.0),
     (0.07, 0.15, (92, 118, 84), 9.0),
@@ -61,7 +61,7 @@ def step(values: npt.ArrayLike, low: float, high: float) -> Picture:
 
 
 def lit(relief: Picture, right: int, down: int) -> Picture:
-    """How much higher each pixel stands than its neighbour towards the light, which comes from the left."""
+    """How much higher each pixel stands than its neighbor towards the light, which comes from the left."""
     shifted = cv2.copyMakeBorder(relief, down, 0, right, 0, cv2.BORDER_REPLICATE)
     return f32(relief - shifted[: relief.shape[0], : relief.shape[1]])
 
@@ -73,13 +73,13 @@ def mix(under: npt.ArrayLike, over: npt.ArrayLike, share: npt.ArrayLike) -> Pict
 
 
 def sprite(color: npt.ArrayLike, alpha: npt.ArrayLike) -> Picture:
-    """BGRA, colours multiplied with alpha."""
+    """BGRA, colors multiplied with alpha."""
     a = np.clip(np.asarray(alpha, np.float32), 0, 1)[..., None]
     return f32(np.concatenate([np.clip(color, 0, 255) * a, a], axis=2))
 
 
 def blend(frame: Picture, picture: Picture, box: npt.ArrayLike, angle: float = 0.0) -> None:
-    """Lay a sprite over ``frame`` so that it fills ``box`` (x, y, w, h; sub-pixel), turned about its centre.
+    """Lay a sprite over ``frame`` so that it fills ``box`` (x, y, w, h; sub-pixel), turned about its center.
 
     Pixel ``i`` covers ``[i, i + 1)``. A sprite larger than its box is averaged down to whole pixels first, so
     that its edges are shaded by how much of a pixel they cover.
@@ -98,8 +98,8 @@ def blend(frame: Picture, picture: Picture, box: npt.ArrayLike, angle: float = 0
     if left >= right or top >= bottom:
         return
     turn = np.array([[cos * sx, -sin * sy], [sin * sx, cos * sy]])
-    centre = np.array([picture.shape[1], picture.shape[0]]) / 2 - 0.5
-    shift = np.array([cx - 0.5 - left, cy - 0.5 - top]) - turn @ centre
+    center = np.array([picture.shape[1], picture.shape[0]]) / 2 - 0.5
+    shift = np.array([cx - 0.5 - left, cy - 0.5 - top]) - turn @ center
     warped = cv2.warpAffine(picture, np.c_[turn, shift], (right - left, bottom - top), flags=cv2.INTER_LINEAR)
     region = frame[top:bottom, left:right]
     region *= 1 - warped[..., 3:]
@@ -107,7 +107,7 @@ def blend(frame: Picture, picture: Picture, box: npt.ArrayLike, angle: float = 0
 
 
 def plate(rng: np.random.Generator, width: int, height: int) -> Picture:
-    """A textured rectangle that fills its box: warm marbled colours, a dark frame, a disc and bars."""
+    """A textured rectangle that fills its box: warm marbled colors, a dark frame, a disc and bars."""
     grain = noise(rng, height, width, max(min(width, height) / 3, 2), 4)
     fine = noise(rng, height, width, max(min(width, height) / 12, 1.5), 2)
     picture = mix(np.full((height, width, 3), (40, 60, 190)), np.full((height, width, 3), (60, 205, 240)), grain)
@@ -120,7 +120,7 @@ def plate(rng: np.random.Generator, width: int, height: int) -> Picture:
 
 
 def ground(rng: np.random.Generator, width: int, height: int) -> Picture:
-    """A mottled background of greens, greys and browns with some structure at every size."""
+    """A mottled background of greens, grays and browns with some structure at every size."""
     a, b, c = (noise(rng, height, width, cell, 5) for cell in (90, 40, 14))
     picture = mix(
         np.full((height, width, 3), (70, 110, 84)),
@@ -176,8 +176,8 @@ def tower(rng: np.random.Generator, width: int, height: int) -> Picture:
     picture = f32((128, 146, 160)) * (0.62 + 0.3 * stone + 0.35 * (tint - 0.5))[..., None]
     picture = mix(picture, (84, 92, 100), step(joint, 0.43, 0.48))
     picture = picture * (1.08 - 0.75 * step(u, -0.3, 0.55))[..., None]
-    for centre in (1.15, 2.1):
-        slot = step(0.2 - np.hypot(u * 1.6, (v - centre) * 0.75), 0, 0.03)
+    for center in (1.15, 2.1):
+        slot = step(0.2 - np.hypot(u * 1.6, (v - center) * 0.75), 0, 0.03)
         picture = mix(picture, (38, 34, 36), slot)
     roof = v < 0.85
     tile = 0.75 + 0.3 * noise(rng, height, width, 4, 2) - 0.22 * (((v * 16) % 1) > 0.75)

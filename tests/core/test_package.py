@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import doctest
 import gc
+import importlib
 import subprocess
 import sys
 import tracemalloc
@@ -41,6 +43,19 @@ def test_public_names():
     with pytest.raises(AttributeError, match="nosuch"):
         _ = mfcmt_core.nosuch
     assert (PACKAGE / "py.typed").is_file()
+
+
+@pytest.mark.parametrize(
+    "file",
+    [file for file in SOURCES if ">>> " in file.read_text()],
+    ids=lambda file: str(file.relative_to(PACKAGE)),
+)
+def test_examples_in_docstrings_work(file):
+    parts = file.relative_to(PACKAGE.parent).with_suffix("").parts
+    module = importlib.import_module(".".join(parts).removesuffix(".__init__"))
+    results = doctest.testmod(module)
+    assert results.attempted > 0
+    assert results.failed == 0
 
 
 def imported(tree):
