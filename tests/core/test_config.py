@@ -129,8 +129,8 @@ def test_unknown_names_are_refused():
         MFCMTConfig.preset("to_dict; fast")
 
 
-def test_something_must_be_left_to_track_by():
-    with pytest.raises(BadConfig, match="nothing is left"):
+def test_a_configuration_needs_a_cue_that_works_on_gray_targets():
+    with pytest.raises(BadConfig, match="a gray target needs"):
         MFCMTConfig.default().replace(color_histogram=False, features=())
     assert MFCMTConfig.default().replace(features=()).features == ()
 
