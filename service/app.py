@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine
-from functools import partial
 from importlib.metadata import version
-from pathlib import Path
 from secrets import token_bytes
 from typing import TYPE_CHECKING, Any
 
@@ -37,7 +34,6 @@ from .auth import Gate
 from .lanes.interface import Lanes
 from .lanes.pool import LanePool
 from .observability.exposition import Exposition
-from .observability.lag import note_stretches
 from .observability.metrics import Metrics
 from .seal import Seal
 from .service import Service
@@ -54,8 +50,6 @@ if TYPE_CHECKING:
 SECRET_BYTES = 32
 # After a fault in the background, so that one that lasts does not fill the log.
 AGAIN_S = 1.0
-# Not a setting: a file for what mfcmt siege measures in a server of its own.
-STRETCHES = "_MFCMT_SIEGE_STRETCHES"
 # Of one key; others wait for their turn.
 SNAPSHOTS_AT_ONCE = TRAJECTORIES_AT_ONCE = 2
 
@@ -161,8 +155,6 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         await service.book.load()
         await service.lanes.start()
         background = [service.book.keep, service.book.follow_lanes, service.follow_keys, service.metrics.lag.watch]
-        if stretches := os.environ.get(STRETCHES):
-            background.append(partial(note_stretches, Path(stretches)))
         keepers += [asyncio.create_task(_lasting(work)) for work in background]
         yield
     finally:

@@ -6,39 +6,59 @@ import argparse
 import importlib
 import os
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import entry_points
 from typing import NoReturn, Protocol, cast
 
 from .. import __version__
 from ..errors import MFCMTError
 
-COMMANDS = {
-    "track": ("mfcmt_core.cli.track", "follow a box through images, a video or a camera"),
-    "eval": ("mfcmt_core.cli.evaluate", "score trackers on OTB: OPE, TRE, SRE"),
-    "bench": ("mfcmt_core.cli.bench", "milliseconds a frame, stage by stage, alone or beside other trackers"),
-    "warmup": ("mfcmt_core.cli.warmup", "compile the kernels for this CPU and keep them on disk"),
-    "serve": ("service.cli.serve", "run the tracking service"),
-    "health": ("service.cli.health", "ask a running service on this machine how it is: exit code 0 or 1"),
-    "load": ("service.cli.load", "drive a service with real frames and measure it"),
-    "soak": ("service.cli.soak", "work for long and see that memory stays flat"),
-    "fuzz": ("service.cli.fuzz", "send a service bad inputs and count wrong answers"),
-    "siege": ("service.cli.siege", "attack a service of one's own beside a neighbour and see who notices"),
-    "chaos": ("service.cli.chaos", "kill, stop and bloat a service under load and count what is lost"),
-    "demo": ("service.cli.demo", "open the page with the sample clip, on a service of its own"),
-}
+GROUP = "mfcmt.commands"
+"""Entry points of this group name tables like :data:`COMMANDS`: the commands of other packages."""
 
 
 class Command(Protocol):
-    """What a subcommand's module defines."""
+    """The two functions that a subcommand's module defines."""
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
 
     def run(self, args: argparse.Namespace) -> int:
-        """Do the work; the exit code. Raises :class:`UsageError` for arguments that do not fit."""
+        """Do the work and return the exit code. Raises :class:`UsageError` for arguments that do not fit."""
 
 
 class UsageError(Exception):
     """The arguments do not fit together or name what is not there: one line, exit code 2."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A subcommand: a line for the help, and a function that loads its module when it runs."""
+
+    summary: str
+    load: Callable[[], Command]
+
+    @classmethod
+    def of(cls, module: str, summary: str) -> Entry:
+        """Return the entry of a command in ``module``, named in full."""
+        return cls(summary, lambda: cast(Command, importlib.import_module(module)))
+
+
+COMMANDS = {
+    "track": Entry.of("mfcmt_core.cli.track", "follow a box through images, a video or a camera"),
+    "eval": Entry.of("mfcmt_core.cli.evaluate", "score trackers on OTB: OPE, TRE, SRE"),
+    "bench": Entry.of("mfcmt_core.cli.bench", "milliseconds a frame, stage by stage, alone or beside other trackers"),
+    "warmup": Entry.of("mfcmt_core.cli.warmup", "compile the kernels for this CPU and keep them on disk"),
+}
+
+
+def commands() -> dict[str, Entry]:
+    """Return the library's commands and those that other packages declare, by name."""
+    found = dict(COMMANDS)
+    for point in entry_points(group=GROUP):
+        found |= point.load()
+    return found
 
 
 class _Parser(argparse.ArgumentParser):
@@ -55,18 +75,23 @@ def main(argv: list[str] | None = None) -> int:
     parser = _Parser(prog="mfcmt", description="Track a target through video on a CPU.")
     parser.add_argument("--version", action="version", version=f"mfcmt {__version__}")
     names = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    chosen = next((a for a in argv if a in COMMANDS), None)
+    entries = commands()
+    chosen = next((a for a in argv if a in entries), None)
     module: Command | None = None
-    for name, (path, summary) in COMMANDS.items():
+    for name, entry in entries.items():
+        summary = entry.summary
         sub = names.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
         if name == chosen:
             try:
-                module = cast(Command, importlib.import_module(path))
+                module = entry.load()
             except ModuleNotFoundError as missing:
                 if missing.name is None or missing.name.startswith(("mfcmt_core.", "service.")):
                     raise
                 print(f"mfcmt {name}: needs {missing.name}: pip install 'mfcmt[service]'", file=sys.stderr)
                 return 1
+            except UsageError as absent:
+                print(f"mfcmt {name}: {absent}", file=sys.stderr)
+                return 2
             module.configure(sub)
     if "--box" in argv:
         from .boxes import join_box

@@ -29,6 +29,7 @@ def follow():
         pass
     os.kill(os.getpid(), signal.SIGTERM)
 threading.Thread(target=follow, daemon=True).start()
+{prelude}
 from mfcmt_core.cli import main
 sys.exit(main(['serve']))
 """
@@ -42,7 +43,7 @@ class OwnServer:
     """``mfcmt serve`` with ``settings`` (fields of :class:`service.settings.Settings`), ready when entered.
 
     ``port`` 0 takes a free one. What the caller's environment sets as ``MFCMT_*`` does not reach it;
-    ``environment`` is added to it.
+    ``environment`` is added to it. ``prelude`` is Python that the server runs before it starts.
     """
 
     def __init__(
@@ -51,10 +52,12 @@ class OwnServer:
         start_s: float = START_S,
         port: int = 0,
         environment: Mapping[str, str] | None = None,
+        prelude: str = "",
         **settings: object,
     ) -> None:
         self._start_s = start_s
         self._environment = environment or {}
+        self._program = SERVE.format(prelude=prelude)
         self._settings = settings
         self._process: subprocess.Popen[bytes] | None = None
         self._log = Path(tempfile.mkstemp(prefix="mfcmt-serve-", suffix=".log")[1])
@@ -98,7 +101,7 @@ class OwnServer:
         environment |= {f"MFCMT_{name.upper()}": str(value) for name, value in settings.items()}
         with self._log.open("ab") as log:
             self._process = subprocess.Popen(  # noqa: S603
-                [sys.executable, "-c", SERVE],
+                [sys.executable, "-c", self._program],
                 env=environment,
                 stdin=subprocess.PIPE,
                 stdout=log,

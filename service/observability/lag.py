@@ -5,15 +5,11 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 from prometheus_client import Histogram
 
 EVERY_S = 0.05
 WINDOW_S = 30.0
-# What the siege's own server notes: stretches of processor time above this, looked for so often.
-NOTED_S = 0.005
-NOTED_EVERY_S = 0.002
 
 
 class Lag:
@@ -48,18 +44,3 @@ class Lag:
         if passed >= WINDOW_S:
             self._before = self._now if passed < 2 * WINDOW_S else 0.0
             self._now, self._since = 0.0, self._clock()
-
-
-async def note_stretches(file: Path) -> None:
-    """Append a line to ``file`` for every stretch that the loop's thread worked without a timer's turn.
-
-    A line is the monotonic time and the processor time, both in seconds. For ``mfcmt siege``: a timer every 2 ms
-    costs more than a service should pay.
-    """
-    with file.open("a", buffering=1) as lines:
-        used = time.thread_time()
-        while True:
-            await asyncio.sleep(NOTED_EVERY_S)
-            before, used = used, time.thread_time()
-            if used - before > NOTED_S:
-                lines.write(f"{time.monotonic():.6f} {used - before:.6f}\n")

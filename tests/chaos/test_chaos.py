@@ -8,9 +8,9 @@ from dataclasses import replace
 import pytest
 
 from mfcmt_core.cli import main
-from service.cli.chaos import _told
-from service.load.chaos import IDLE_S, LANE_FAULTS, RESTARTS, Plan, Report, chaos
 from service.load.clips import Clip
+from tests.tools.chaos import lines
+from tests.tools.chaos.run import IDLE_S, LANE_FAULTS, RESTARTS, Plan, Report, chaos
 
 
 def test_nothing_is_lost_and_nothing_differs(clip: Clip) -> None:
@@ -32,7 +32,7 @@ def test_nothing_is_lost_and_nothing_differs(clip: Clip) -> None:
 def test_what_the_command_says() -> None:
     seconds = {"SIGKILL": [0.12, 0.2], "SIGTERM": [3.0]}
     report = Report(Plan(10, 30, 2, 2, 1, 1), {"SIGKILL": 2, "SIGTERM": 1}, seconds, 500, 0, {}, 400, 0, [12], 11.2)
-    told = "\n".join(_told(report, "sample"))
+    told = "\n".join(lines(report, "sample"))
     assert "results lost       0 of 500" in told
     assert "boxes that differ  0 of 400" in told
     assert "SIGKILL to next result  median    160 ms, max    200 ms" in told
@@ -41,7 +41,7 @@ def test_what_the_command_says() -> None:
     assert "every session was 11 s old at the first restart" in told
     assert json.loads(json.dumps(report.as_dict()))["lost"] == 0
     assert not replace(report, differ=1).flawless
-    assert "1 refused with at-capacity" in "\n".join(_told(replace(report, refused={"at-capacity": 1}), "sample"))
+    assert "1 refused with at-capacity" in "\n".join(lines(replace(report, refused={"at-capacity": 1}), "sample"))
 
 
 @pytest.mark.parametrize("wrong", [["--faults", "-1"], ["--sessions", "0"], ["--fps", "1e9"]])

@@ -8,9 +8,9 @@ import random
 import pytest
 
 from mfcmt_core.cli import main
-from service.load.mutate import Mutator
-from service.load.slope import STEP_BYTES, STEP_SLOPE, slope
 from tests.service.frames import images
+from tests.tools.fuzz.mutate import Mutator
+from tests.tools.soak.slope import STEP_BYTES, STEP_SLOPE, slope
 
 
 def test_bad_inputs(capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,8 +7,8 @@ import json
 import pytest
 
 from mfcmt_core.cli import main
-from service.load.siege import BOUND_BYTES
-from service.load.siege_attacks import ATTACKS
+from tests.tools.siege.attacks import ATTACKS
+from tests.tools.siege.outcome import BOUND_BYTES
 
 
 def test_the_service_is_whole_after_every_attack(capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,8 +13,8 @@ import pytest
 
 from service.load.clips import Clip
 from service.load.own import OwnServer
-from service.load.siege_attacks import BINARY, MIB, PING, TEXT, UNFINISHED, frame, padded
 from service.load.usage import server_processes
+from tests.tools.siege.traffic import BINARY, MIB, PING, TEXT, UNFINISHED, frame, padded
 
 from .conftest import Serve, Wire
 

@@ -1,19 +1,18 @@
-"""``mfcmt siege``: attack a service of one's own, beside a neighbour, and see what the neighbour notices."""
+"""``mfcmt siege``: attack a service of one's own while a neighbour streams, and measure the neighbour's wait."""
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Iterable
 
 from mfcmt_core.cli import UsageError
+from service.load.clips import sample
 
-from ..client import ClientError
-from ..load.clips import sample
-from ..load.own import ServerFailed
-from ..load.siege import BOUND_BYTES, MAX_RATIO, MAX_STALL_S, UNFELT_S, Outcome, Plan, siege
-from ..load.siege_attacks import ATTACKS, Attack
+from ..command import Findings, add_json, finish
+from .attacks import ATTACKS, Attack
+from .outcome import BOUND_BYTES, MAX_RATIO, MAX_STALL_S, UNFELT_S, Outcome
+from .run import Plan, siege
 
 USUAL, SHORT = Plan(rounds=3, seconds=4.0, past=1500), Plan(rounds=1, seconds=1.0, past=200)
 SIZE = (160, 120)
@@ -23,28 +22,28 @@ CLIP_FRAMES = 30
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     add = parser.add_argument
-    add("--short", action="store_true", help="a second of each attack, and as long undisturbed")
-    add("--only", metavar="TEXT", help="the attacks whose name has this in it; default: all")
+    add("--short", action="store_true", help="attack for one second each, after one undisturbed second")
+    add("--only", metavar="TEXT", help="only the attacks whose name contains TEXT; default: all")
     add("--list", action="store_true", help="print the attacks and do nothing")
-    add("--json", action="store_true", help="print JSON")
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 if every target was met, else 1."""
+    """Return 0 if every target was met, else 1."""
     attacks = [attack for attack in ATTACKS if (args.only or "") in attack.name]
     if not attacks:
         raise UsageError(f"--only: no attack has {args.only!r} in its name; --list prints them all")
     if args.list:
         print("\n".join(_described(attack) for attack in attacks))
         return 0
-    clip = sample(CLIP_FRAMES).resized(SIZE)
-    try:
+
+    def work() -> Findings:
+        clip = sample(CLIP_FRAMES).resized(SIZE)
         outcomes = siege(clip, SHORT if args.short else USUAL, attacks, _tell)
-    except (ClientError, ServerFailed, TimeoutError) as failed:
-        print(f"mfcmt siege: {failed}", file=sys.stderr)
-        return 1
-    print(json.dumps([outcome.as_dict() for outcome in outcomes]) if args.json else "\n".join(_told(outcomes)))
-    return 1 if any(outcome.missed() for outcome in outcomes) else 0
+        missed = any(outcome.missed() for outcome in outcomes)
+        return Findings(_lines(outcomes), [outcome.as_dict() for outcome in outcomes], not missed)
+
+    return finish("siege", args.json, work)
 
 
 def _tell(step: str) -> None:
@@ -55,7 +54,7 @@ def _described(attack: Attack) -> str:
     return f"{attack.name}: {attack.connections} connections {'with' if attack.keyed else 'without'} a key"
 
 
-def _told(outcomes: list[Outcome]) -> Iterable[str]:
+def _lines(outcomes: list[Outcome]) -> Iterable[str]:
     yield "                                                  neighbour's wait, ms   worst  longest    MB more"
     yield "attack                                            p99: calm  besieged  (any) stall, ms  front lanes  answers"
     for one in outcomes:

@@ -9,28 +9,28 @@ from __future__ import annotations
 
 import asyncio
 import json
-import statistics
 import sys
 import tempfile
 import time
-from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..app import STRETCHES
-from ..client import AsyncClient, AsyncSession, Frame, Ready, Result
-from ..client.address import Address
-from ..client.connection import Connection
-from ..lanes.usage import rss_bytes
-from .clips import Clip
-from .drive import quantile
-from .own import OwnServer
-from .run import run_loop
-from .siege_attacks import HEAVY_BYTES, MIB, Attack, padded
-from .usage import server_processes
+from service.client import AsyncClient, AsyncSession, Frame, Ready, Result
+from service.client.address import Address
+from service.client.connection import Connection
+from service.lanes.usage import rss_bytes
+from service.load.clips import Clip
+from service.load.own import OwnServer
+from service.load.run import run_loop
+from service.load.usage import server_processes
+
+from ..command import ROOT, Tell
+from .attacks import Attack
+from .outcome import ROOM_BYTES, Outcome, Waits
+from .traffic import HEAVY_BYTES, MIB, padded
 
 FPS = 30.0
 PROBES_PER_S = 10.0
@@ -39,15 +39,6 @@ MEMORY_EVERY_S = 0.05
 SESSIONS, PAST_TARGETS = 14, 16
 BESIEGED = "the-key-of-the-besieged-neighbour"
 BESIEGER = "the-key-of-the-one-who-besieges"
-# The least that a service gives itself; see docs/security.md.
-ROOM_BYTES = 128 * MIB
-# The stated bound of the front: what is under way, as much again in copies that are being made, half as much that the
-# C library keeps of what was freed, and what else grows.
-BOUND_BYTES = 2 * ROOM_BYTES + ROOM_BYTES // 2 + 64 * MIB
-MAX_STALL_S = 0.05
-MAX_RATIO = 3.0
-# What a busy machine adds by itself is no fault: below this the neighbour's wait is no matter.
-UNFELT_S = 0.02
 PATIENCE_S = 30.0
 # A frame or two of the neighbour may be under way at any time.
 NEIGHBOURS_BYTES = 100_000
@@ -58,8 +49,24 @@ SETTINGS: dict[str, Any] = {
     "signing_keys": "a-secret-of-the-siege",
     "max_upload_bytes": ROOM_BYTES,
 }
-
-Tell = Callable[[str], None]
+# Runs in the server before it starts: beside the watch of the loop's lag, it appends a line to a file for every stretch
+# that the loop's thread worked without a timer's turn. A line is the monotonic time and the processor time, in seconds.
+# A timer every 2 ms costs more than a service should pay.
+NOTE_STRETCHES = """
+import asyncio, time
+from service.observability.lag import Lag
+watch = Lag.watch
+async def watch_and_note(self):
+    watching = asyncio.ensure_future(watch(self))
+    with open({file!r}, "a", buffering=1) as lines:
+        used = time.thread_time()
+        while True:
+            await asyncio.sleep(0.002)
+            before, used = used, time.thread_time()
+            if used - before > 0.005:
+                print(f"{{time.monotonic():.6f}} {{used - before:.6f}}", file=lines)
+Lag.watch = watch_and_note
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,80 +76,6 @@ class Plan:
     rounds: int
     seconds: float
     past: int
-
-
-@dataclass(slots=True)
-class Waits:
-    """Seconds that the neighbour waited for results, and somebody for ``/livez``."""
-
-    results: list[float] = field(default_factory=list)
-    probes: list[float] = field(default_factory=list)
-
-    @property
-    def p99_s(self) -> float:
-        return quantile(self.results, 0.99)
-
-    @property
-    def worst_s(self) -> float:
-        return max(self.results + self.probes, default=0.0)
-
-
-@dataclass(slots=True)
-class Outcome:
-    """What one attack did."""
-
-    attack: str
-    rounds: list[tuple[Waits, Waits]] = field(default_factory=list)
-    stall_s: float = 0.0
-    front_bytes: int = 0
-    lanes_bytes: int = 0
-    front_above_rest_bytes: int = 0
-    answers: Counter[str] = field(default_factory=Counter)
-    damage: list[str] = field(default_factory=list)
-
-    @property
-    def ratio(self) -> float:
-        """The neighbour's p99 over undisturbed: of the rounds' the middle one, as other work may hit any of them."""
-        return statistics.median(besieged.p99_s / calm.p99_s for calm, besieged in self.rounds)
-
-    @property
-    def calm(self) -> Waits:
-        """Of all rounds, undisturbed."""
-        return _joined(calm for calm, _ in self.rounds)
-
-    @property
-    def besieged(self) -> Waits:
-        """Of all rounds, besieged."""
-        return _joined(besieged for _, besieged in self.rounds)
-
-    def missed(self) -> list[str]:
-        """The targets that were missed."""
-        missed = list(self.damage)
-        if self.stall_s > MAX_STALL_S:
-            missed.append(f"the loop was busy for {self.stall_s * 1e3:.0f} ms at a stretch")
-        if self.ratio > MAX_RATIO and self.besieged.p99_s > UNFELT_S:
-            missed.append(f"the neighbour's p99 grew {self.ratio:.1f} times")
-        if self.front_above_rest_bytes > BOUND_BYTES:
-            missed.append(f"the front held {self.front_above_rest_bytes / 1e6:.0f} MB more than at rest")
-        return missed
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON; waits as their p99 and worst."""
-        waits = {
-            f"{name}_{what}_s": getattr(one, f"{what}_s")
-            for name, one in (("calm", self.calm), ("besieged", self.besieged))
-            for what in ("p99", "worst")
-        }
-        rest = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "rounds"}
-        return rest | waits | {"ratio": self.ratio, "missed": self.missed()}
-
-
-def _joined(some: Iterable[Waits]) -> Waits:
-    joined = Waits()
-    for waits in some:
-        joined.results += waits.results
-        joined.probes += waits.probes
-    return joined
 
 
 class Siege:
@@ -203,8 +136,9 @@ class Siege:
             process = await asyncio.create_subprocess_exec(
                 sys.executable,
                 "-m",
-                "service.load.siege_attacker",
+                "tests.tools.siege.attacker",
                 attack.name,
+                cwd=ROOT,
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
             )
@@ -342,6 +276,6 @@ def siege(clip: Clip, plan: Plan, attacks: Sequence[Attack], tell: Tell) -> list
     """Start a server and attack it."""
     with tempfile.TemporaryDirectory(prefix="mfcmt-siege-") as folder:
         stretches = Path(folder) / "stretches"
-        with OwnServer(environment={STRETCHES: str(stretches)}, **SETTINGS) as server:
+        with OwnServer(prelude=NOTE_STRETCHES.format(file=str(stretches)), **SETTINGS) as server:
             outcomes: list[Outcome] = run_loop(Siege(server, clip, plan, stretches).run(attacks, tell))
     return outcomes

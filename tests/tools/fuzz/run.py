@@ -24,9 +24,9 @@ from websockets.exceptions import ConnectionClosed
 from mfcmt_core import MFCMT
 from mfcmt_core.images import FrameError, FrameLimits
 from mfcmt_core.images.decode import decode
+from service.load.clips import Clip
+from service.problems import CATALOGUE, MEDIA_TYPE
 
-from ..problems import CATALOGUE, MEDIA_TYPE
-from .clips import Clip
 from .mutate import Mutator
 
 PATIENCE_S = 30.0

@@ -1,4 +1,4 @@
-"""The attacker, a process of its own: ``python -m service.load.siege_attacker NAME``, told the rest on its input.
+"""The attacker, a process of its own: ``python -m tests.tools.siege.attacker NAME``, told the rest on its input.
 
 It prints ``ready``, begins when it is told for how many seconds, and prints what was answered by code.
 """
@@ -13,7 +13,8 @@ import sys
 from collections import Counter
 from typing import Any
 
-from .siege_attacks import ATTACKS, HEAVY_BYTES, Attack, Ground, padded
+from .attacks import ATTACKS, Attack
+from .traffic import HEAVY_BYTES, Ground, padded
 
 # Behind the service and its neighbour: what is measured is the service and not who gets the cores.
 NICENESS = 5

@@ -1,21 +1,17 @@
-"""``mfcmt chaos``: faults at random moments under load, and what they cost."""
+"""``mfcmt chaos``: cause faults at random moments under load, and count what they cost."""
 
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from mfcmt_core.cli import UsageError
 from mfcmt_core.cli.progress import Progress
+from service.load.clips import open_clip
 
-from ..client import ClientError
-from ..load.chaos import IDLE_S, RESTARTS, Plan, Report, chaos
-from ..load.clips import open_clip
-from ..load.own import ServerFailed
+from ..command import Findings, add_json, check_range, finish
+from .run import IDLE_S, RESTARTS, Plan, Report, chaos
 
 MAX_SESSIONS, MAX_FPS, MAX_FAULTS, MAX_FRAMES = 256, 120.0, 10_000, 300
 
@@ -23,41 +19,38 @@ MAX_SESSIONS, MAX_FPS, MAX_FAULTS, MAX_FRAMES = 256, 120.0, 10_000, 300
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     add = parser.add_argument
-    add("--faults", type=int, default=30, metavar="N", help="of lanes: SIGKILL, SIGSTOP and memory growth (30)")
+    add("--faults", type=int, default=30, metavar="N", help="faults of lanes: SIGKILL, SIGSTOP, memory growth (30)")
     add("--restarts", type=int, default=3, metavar="N", help="then SIGTERMs of the service, and as many kill -9 (3)")
     add("--sessions", type=int, default=10, metavar="N", help="streams at once (10)")
-    add("--fps", type=float, default=30.0, metavar="F", help="frames/s of each (30)")
+    add("--fps", type=float, default=30.0, metavar="F", help="frames/s of each stream (30)")
     add("--lanes", type=int, default=2, metavar="N", help="lanes of the server that is started (2)")
-    add("--seed", type=int, default=1, metavar="N", help="of the moments and the victims (1)")
+    add("--seed", type=int, default=1, metavar="N", help="seed of the moments and the victims (1)")
     add("--frames", metavar="FOLDER", type=Path, help="images to send; default: a rendered clip")
     add("--box", metavar="X,Y,W,H", help="the target in the first frame; default: the ground truth, else the middle")
-    add("--json", action="store_true", help="print JSON")
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do the work; 1 when something was lost or differs."""
-    for name, value, least, most in (
-        ("--faults", args.faults, 0, MAX_FAULTS),
-        ("--restarts", args.restarts, 0, MAX_FAULTS),
-        ("--sessions", args.sessions, 1, MAX_SESSIONS),
-        ("--fps", args.fps, 1, MAX_FPS),
-        ("--lanes", args.lanes, 1, MAX_SESSIONS),
-    ):
-        if not least <= value <= most:
-            raise UsageError(f"{name} is from {least} to {most:g}")
+    """Return 0 if no result is missing or differs, else 1."""
+    check_range("--faults", args.faults, 0, MAX_FAULTS)
+    check_range("--restarts", args.restarts, 0, MAX_FAULTS)
+    check_range("--sessions", args.sessions, 1, MAX_SESSIONS)
+    check_range("--fps", args.fps, 1, MAX_FPS)
+    check_range("--lanes", args.lanes, 1, MAX_SESSIONS)
     clip = open_clip(args.frames, args.box, MAX_FRAMES)
     plan = Plan(args.sessions, args.fps, args.lanes, args.faults, args.restarts, args.seed)
-    try:
+
+    def work() -> Findings:
         with Progress(args.faults + 2 * args.restarts + 1, "steps") as bar:
             report = chaos(clip, plan, bar.step)
-    except (ClientError, ServerFailed, TimeoutError) as failed:
-        print(f"mfcmt chaos: {failed}", file=sys.stderr)
-        return 1
-    print(json.dumps(report.as_dict()) if args.json else "\n".join(_told(report, f"{clip.name}, {_size(clip.size)}")))
-    return 0 if report.flawless else 1
+        width, height = clip.size
+        return Findings(lines(report, f"{clip.name}, {width}x{height}"), report.as_dict(), report.flawless)
+
+    return finish("chaos", args.json, work)
 
 
-def _told(report: Report, clip: str) -> Iterable[str]:
+def lines(report: Report, clip: str) -> Iterable[str]:
+    """Return the report as text."""
     plan = report.plan
     yield f"{plan.sessions} streams of {clip}, {plan.fps:g} frames/s each, {plan.lanes} lanes, seed {plan.seed}"
     counts = ", ".join(f"{count} {kind}" for kind, count in report.faults.items())
@@ -75,7 +68,3 @@ def _told(report: Report, clip: str) -> Iterable[str]:
         yield f"idle time          {IDLE_S:g} s; every session was {report.age_s:.0f} s old at the first restart"
     if report.forgotten:
         yield f"forgotten by kill -9    at most {max(report.forgotten)} frames of learning"
-
-
-def _size(size: tuple[int, int]) -> str:
-    return f"{size[0]}x{size[1]}"

@@ -10,16 +10,18 @@ import tempfile
 import time
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..client import AsyncClient, AsyncSession, Frame, Problem, Result, Resumed
-from .clips import Clip
-from .own import OwnServer
-from .usage import server_processes
+from service.client import AsyncClient, AsyncSession, Frame, Problem, Result, Resumed
+from service.load.clips import Clip
+from service.load.own import OwnServer
+from service.load.usage import server_processes
+
+from ..command import Tell
 
 MIB = 1 << 20
 LANE_FAULTS = ("SIGKILL", "SIGSTOP", "memory")
@@ -116,7 +118,7 @@ class Report:
         return asdict(self)
 
 
-def chaos(clip: Clip, plan: Plan, say: Callable[[str], None]) -> Report:
+def chaos(clip: Clip, plan: Plan, say: Tell) -> Report:
     """Run ``plan`` against a server of its own; ``say`` is told of each step."""
     with tempfile.TemporaryDirectory(prefix="mfcmt-chaos-") as folder:
         (Path(folder) / "sitecustomize.py").write_text(GROW)
@@ -132,9 +134,9 @@ def chaos(clip: Clip, plan: Plan, say: Callable[[str], None]) -> Report:
 
 
 class _Run:
-    def __init__(self, server: OwnServer, clip: Clip, plan: Plan, say: Callable[[str], None]) -> None:
+    def __init__(self, server: OwnServer, clip: Clip, plan: Plan, say: Tell) -> None:
         self._server, self._clip, self._plan, self._say = server, clip, plan, say
-        self._random = random.Random(plan.seed)  # noqa: S311
+        self._random = random.Random(plan.seed)
         self._streams = [Stream() for _ in range(plan.sessions)]
         self._seconds: dict[str, list[float]] = {kind: [] for kind in (*LANE_FAULTS, *RESTARTS)}
         self._faults: Counter[str] = Counter()
@@ -174,7 +176,7 @@ class _Run:
         for number in range(self._plan.faults):
             await self._pause()
             # All kinds in turn, each time in another order.
-            kinds = random.Random(f"{self._plan.seed} {number // len(LANE_FAULTS)}").sample(LANE_FAULTS, 3)  # noqa: S311
+            kinds = random.Random(f"{self._plan.seed} {number // len(LANE_FAULTS)}").sample(LANE_FAULTS, 3)
             await self._fault(kinds[number % len(LANE_FAULTS)])
         if self._plan.restarts:
             await self._outlive_idle_time()

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from ..client import AsyncClient, ConnectionLost, Frame, Problem, Ready, Result
-from ..client.connection import Connection
-from .clips import Clip
+from service.client import AsyncClient, ConnectionLost, Frame, Problem, Ready, Result
+from service.client.connection import Connection
+from service.load.clips import Clip
+from service.load.usage import server_processes, usage
+
+from ..command import Tell
 from .slope import WARM_UP, Slope, slope
-from .usage import server_processes, usage
 
 SAMPLES = 80
 # Every so many sessions, one is streamed to before it is closed: what a stream leaves behind shows too.
@@ -25,9 +27,6 @@ MAX_REMEMBERED = 10_000
 # A tracked frame in a trajectory, at the least.
 ENTRY_BYTES = 200
 MAX_TRAJECTORY_BYTES = 1024 * 1024
-
-Tell = Callable[[str], None]
-"""Hears of each unit that is done, and what memory was used when it was last read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +48,7 @@ class Phase:
         return asdict(self) | {"flat": self.flat}
 
 
-class Meter:
+class MemoryMeter:
     """Private memory of the front and of all lanes together, read as work goes on."""
 
     def __init__(self, front: int, total: int, tell: Tell) -> None:
@@ -88,7 +87,7 @@ def settings(sessions: int, frames: int, streams: int) -> dict[str, Any]:
 
 async def soak_sessions(url: str, front: int, clip: Clip, total: int, tell: Tell) -> Phase:
     """Open and close ``total`` sessions, a few at a time."""
-    meter, left, done, failed = Meter(front, total, tell), total, 0, 0
+    meter, left, done, failed = MemoryMeter(front, total, tell), total, 0, 0
     start = time.monotonic()
 
     async def open_and_close(client: AsyncClient) -> None:
@@ -112,7 +111,7 @@ async def soak_sessions(url: str, front: int, clip: Clip, total: int, tell: Tell
 
 async def soak_frames(url: str, front: int, clip: Clip, total: int, streams: int, tell: Tell) -> Phase:
     """Have ``total`` frames tracked by ``streams`` sessions at once."""
-    meter, done, failed = Meter(front, total, tell), 0, 0
+    meter, done, failed = MemoryMeter(front, total, tell), 0, 0
     start = time.monotonic()
 
     def tracked() -> None:
@@ -158,18 +157,14 @@ async def _stream(
         await connection.close()
 
 
-def text(phases: Sequence[Phase]) -> str:
-    """The phases as lines."""
-    lines = []
+def lines(phases: Sequence[Phase]) -> Iterable[str]:
+    """Return the phases as text."""
     for phase in phases:
         rate = phase.done / phase.seconds
         what = "opened and closed" if phase.unit == "session" else "tracked"
-        lines.append(
-            f"{phase.done:,} {phase.unit}s {what} in {phase.seconds:.0f} s ({rate:.0f}/s), {phase.failed} failed"
-        )
+        yield f"{phase.done:,} {phase.unit}s {what} in {phase.seconds:.0f} s ({rate:.0f}/s), {phase.failed} failed"
         for role, one in phase.slopes.items():
-            lines.append(
+            yield (
                 f"  {role:<6}{one.first / 1e6:8.2f} MB after warm-up, {one.last / 1e6:.2f} MB at the end: "
                 f"{one.per_unit:+.2f} ± {one.noise:.2f} bytes a {phase.unit}, {'flat' if one.flat else 'GROWS'}"
             )
-    return "\n".join(lines)

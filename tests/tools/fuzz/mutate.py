@@ -32,7 +32,7 @@ class Mutator:
     """Everything it makes follows from ``seed``."""
 
     def __init__(self, seed: int, jpeg: bytes) -> None:
-        self.chance = random.Random(seed)  # noqa: S311
+        self.chance = random.Random(seed)
         pixels = decode(jpeg, FrameLimits())[0]
         self.images = [jpeg, *(cv2.imencode(kind, pixels)[1].tobytes() for kind in (".png", ".webp"))]
 

@@ -1,0 +1,5 @@
+"""``python -m tests.tools.chaos``."""
+
+from ..command import start
+
+start("chaos")

@@ -1,0 +1,5 @@
+"""``python -m tests.tools.fuzz``."""
+
+from ..command import start
+
+start("fuzz")

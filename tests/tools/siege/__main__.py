@@ -1,0 +1,5 @@
+"""``python -m tests.tools.siege``."""
+
+from ..command import start
+
+start("siege")

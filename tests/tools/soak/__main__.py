@@ -1,0 +1,5 @@
+"""``python -m tests.tools.soak``."""
+
+from ..command import start
+
+start("soak")
