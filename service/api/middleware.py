@@ -85,7 +85,7 @@ class Surroundings:
                 message = {**message, "body": b""}
             await send(message)
 
-        await turns.give_way(turns.CALLS_S)
+        await turns.give_way()
         held = scope["state"][HELD] = Share(self._service.room)
         try:
             self._service.gate.check_browser(headers)

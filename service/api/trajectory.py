@@ -82,7 +82,7 @@ async def _parts(parts: Iterator[bytes]) -> AsyncIterator[bytes]:
         yield part
         # Sending does not wait while the client reads fast.
         await asyncio.sleep(0)
-        await turns.give_way(turns.CALLS_S)
+        await turns.give_way()
 
 
 def _some(entries: Iterator[Entry]) -> Iterator[list[Entry]]:

@@ -84,7 +84,7 @@ class CallProtocol(HttpToolsProtocol):
         if self.cycle is None or self.cycle.response_complete:
             self._expect_head()
         self._rest = self._rest + data if self._rest else data
-        self._feed()
+        self._feed(in_turn=False)
 
     def handle_websocket_upgrade(self) -> None:
         """As ever; this object has done its work then, and leaves the connection as it reads."""
@@ -191,14 +191,15 @@ class CallProtocol(HttpToolsProtocol):
 
         super()._start_asgi_task(cycle, serve)
 
-    def _feed(self) -> None:
-        """Have parsed what was read, up to the next call that has to wait, or to the end of the turn."""
-        self._feeds = False
+    def _feed(self, *, in_turn: bool = True) -> None:
+        """Parse what was read, up to the next call that has to wait or the end of the turn; some of it ``in_turn``."""
+        if in_turn:
+            self._feeds = False
         if self._gone:
             return
         data, at = self._rest, 0
         while at < len(data) and not (self.pipeline or self.transport.is_closing()):
-            if turns.used_up(self.loop, turns.MESSAGES_S):
+            if not (in_turn and at == 0) and turns.must_wait(self.loop):
                 break
             end = self._end_of_slice(data, at)
             if end <= at + EMPTY_LINE_BYTES and not (self._in_head or self._in_body):
@@ -237,7 +238,7 @@ class CallProtocol(HttpToolsProtocol):
     def _feed_later(self) -> None:
         if not self._feeds:
             self._feeds = True
-            self.loop.call_soon(self._feed)
+            turns.later(self.loop, self._feed)
 
     def _count_bytes(self) -> None:
         """Hold what is here of this connection; refuse the call if there is no room."""

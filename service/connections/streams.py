@@ -82,9 +82,8 @@ class FrameProtocol(WebSocketsSansIOProtocol):
 
     def data_received(self, data: bytes) -> None:
         """Bytes of frames; of more frames than one turn's the rest waits for the next."""
-        # Asking for the turn costs one of the loop's; a frame that comes alone does not pay it.
-        late = self._reader.behind and turns.used_up(self.loop, turns.MESSAGES_S)
-        self._reader.turn(0 if late else FRAMES_A_TURN)
+        # Frames that wait for a turn stay in front of these; a frame that comes alone asks for no turn.
+        self._reader.turn(0 if self._reader.behind else FRAMES_A_TURN)
         super().data_received(data)
         if self.transport.is_closing():
             return
@@ -105,7 +104,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
             await asyncio.sleep(0)
         message = await self.queue.get()
         if not self.queue.empty():
-            await turns.give_way(turns.MESSAGES_S)
+            await turns.give_way()
         else:
             self._queued_bytes = 0
             if self._reader.behind:
@@ -208,10 +207,10 @@ class FrameProtocol(WebSocketsSansIOProtocol):
     def _go_on_later(self) -> None:
         if not self._goes_on:
             self._goes_on = True
-            self.loop.call_soon(self._go_on)
+            turns.later(self.loop, self._go_on)
 
     def _go_on(self) -> None:
-        self._goes_on = False
+        self._goes_on = self._reader.behind = False
         if not self.transport.is_closing():
             self.data_received(b"")
             if not self._reader.behind and self.queue.empty() and self.read_paused:

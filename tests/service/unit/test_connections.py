@@ -24,8 +24,8 @@ async def _echo(scope: Any, receive: Any, send: Any) -> None:
 
 
 async def test_a_stream_whose_handshake_waited_for_its_turn_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    turns_used_up = iter([True])
-    monkeypatch.setattr(turns, "used_up", lambda *_: next(turns_used_up, False))
+    waits = iter([True])
+    monkeypatch.setattr(turns, "must_wait", lambda *_: next(waits, False))
     calls, frames = protocols(Settings(), Room(1 << 20))
     config = Config(_echo, http=calls, ws=frames, lifespan="off")
     config.load()
@@ -36,4 +36,4 @@ async def test_a_stream_whose_handshake_waited_for_its_turn_is_read(monkeypatch:
         async with websockets.connect(f"ws://127.0.0.1:{port}/") as client:
             await client.send("a frame")
             assert await client.recv() == "a frame"
-    assert next(turns_used_up, None) is None
+    assert next(waits, None) is None
