@@ -1,8 +1,8 @@
-"""The handshake of a stream: who, which session, which subprotocol; then the attachment takes over."""
+"""The handshake of a stream: who connects, to which session, by which subprotocol and in which mode."""
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 from urllib.parse import parse_qs
 
 import structlog
@@ -12,29 +12,17 @@ from starlette.types import Receive, Scope, Send
 from ..connections import ABORT_EXTENSION, CROWDED, LEAVE_EXTENSION, SHARE
 from ..keys import Identity
 from ..observability.sampled import Sampled
-from ..problems import ProblemError
+from ..protocol.answers import Error, Ready, message
+from ..protocol.codecs import CODECS, JSON, Codec
+from ..protocol.enums import CloseCode, Mode, ProblemCode
+from ..protocol.problems import CLOSE_OF_REFUSAL, ProblemError
 from ..service import Service
 from ..sessions.room import Share
 from ..sessions.session import Session
-from ..stream.attachment import StreamAttachment
-from ..stream.codec import Codec, JsonCodec, MsgpackCodec
-from ..stream.flow import Flow, Mode
+from ..stream.connection import StreamConnection
+from ..stream.frame_queue import FrameQueue
+from ..stream.sender import websocket_send
 from .answers import problem_response
-
-CLOSE_CODES = {
-    "unauthenticated": 4401,
-    "host-refused": 4403,
-    "origin-refused": 4403,
-    "not-found": 4404,
-    "session-not-found": 4404,
-    "attached-elsewhere": 4409,
-    "session-gone": 4410,
-    "rate-limited": 4429,
-    "over-quota": 4429,
-    "at-capacity": 1013,
-    "draining": 1013,
-    "bad-request": 4400,
-}
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.stream")
 refusals = Sampled(log)
@@ -50,7 +38,9 @@ class StreamEndpoint:
         """Serve one connection."""
         headers = Headers(scope=scope)
         await receive()  # websocket.connect
-        codec, selected = _codec(scope["subprotocols"], self._service.settings.max_body_bytes)
+        # The first of ours that is offered; JSON, which the answer then does not name, where none is.
+        selected = next((name for name in scope["subprotocols"] if name in CODECS), None)
+        codec = JSON if selected is None else CODECS[selected]
         try:
             session, mode, identity = self._admit(scope, headers)
         except ProblemError as problem:
@@ -59,13 +49,13 @@ class StreamEndpoint:
         settings = self._service.settings
         superseded = self._service.metrics.frames_dropped.labels(reason="superseded").inc
         share = Share(self._service.room, identity.owner)
-        if (connection := scope["state"].get(SHARE)) is not None:
-            connection.belong(identity.owner)
-        attachment = StreamAttachment(
+        if (held := scope["state"].get(SHARE)) is not None:
+            held.belong(identity.owner)
+        connection = StreamConnection(
             session,
             identity,
             codec,
-            Flow(mode, settings.credit_frames, superseded, share),
+            FrameQueue(mode, settings.credit_frames, superseded, share),
             settings,
             self._service.meter,
             self._service.metrics,
@@ -76,66 +66,68 @@ class StreamEndpoint:
             scope["state"].get("span"),
         )
         if session.attachment is not None:
-            session.attachment.end(4409, "attached elsewhere")
-        session.attachment = attachment
+            session.attachment.end(CloseCode.ATTACHED_ELSEWHERE, "attached elsewhere")
+        session.attachment = connection
         structlog.contextvars.bind_contextvars(session=session.id)
         await send({"type": "websocket.accept", "subprotocol": selected})
         await session.settled()
-        log.info("stream attached", mode=mode, subprotocol=codec.name, seq=session.seq)
-        await attachment.run(self._ready(session, mode, attachment.name, scope, headers))
+        log.info("stream attached", mode=mode.value, subprotocol=codec.name, seq=session.seq)
+        await connection.run(self._ready(session, mode, connection.name, scope, headers))
         log.info("stream detached", seq=session.seq)
 
     def _admit(self, scope: Scope, headers: Headers) -> tuple[Session, Mode, Identity]:
-        """The session that may be attached to, whatever is attached now. Raises ProblemError."""
+        """Return the session that the client may attach to, the mode, and who it is. Raises ProblemError."""
         service = self._service
         service.gate.check_browser(headers)
         if scope["state"].get(CROWDED):
-            raise ProblemError("at-capacity", "too many connections", retry_after_s=1.0)
+            raise ProblemError(ProblemCode.AT_CAPACITY, "too many connections", retry_after_s=1.0)
         sid = scope["path_params"].get("session_id")
         if sid is None:
-            raise ProblemError("not-found", "no WebSocket is here; a stream is at /v1/sessions/{session_id}/stream")
+            detail = "no WebSocket is here; a stream is at /v1/sessions/{session_id}/stream"
+            raise ProblemError(ProblemCode.NOT_FOUND, detail)
         identity = service.gate.redeem(scope["subprotocols"], sid) or service.gate.identify(headers)
         scope["state"]["identity"] = identity
         service.meter.call(identity.owner)
         if service.book.draining:
-            raise ProblemError("draining", "the service is going away", retry_after_s=service.settings.drain_grace_s)
+            grace_s = service.settings.drain_grace_s
+            raise ProblemError(ProblemCode.DRAINING, "the service is shutting down", retry_after_s=grace_s)
         query = parse_qs(scope["query_string"].decode("latin-1"))
         mode = query.get("mode", ["latest"])[-1]
-        if mode not in ("latest", "lossless"):
-            raise ProblemError("bad-request", "mode is latest or lossless")
+        if mode not in list(Mode):
+            raise ProblemError(ProblemCode.BAD_REQUEST, f"mode is {' or '.join(Mode)}")
         takeover = query.get("takeover", ["false"])[-1]
         if takeover not in ("true", "false"):
-            raise ProblemError("bad-request", "takeover is true or false")
+            raise ProblemError(ProblemCode.BAD_REQUEST, "takeover is true or false")
         session = service.book.find(identity.owner, sid)
         standing = session.attachment
         if standing is not None and takeover == "false" and query.get("resume") != [standing.name]:
-            raise ProblemError("attached-elsewhere", "a stream is attached")
+            raise ProblemError(ProblemCode.ATTACHED_ELSEWHERE, "a stream is attached")
         if standing is None:
-            self._check_room(identity.owner)
-        return session, cast(Mode, mode), identity
+            self._check_quota(identity.owner)
+        return session, Mode(mode), identity
 
-    def _check_room(self, owner: str) -> None:
-        """Raises over-quota, at-capacity for one stream too many."""
+    def _check_quota(self, owner: str) -> None:
+        """Make sure that ``owner`` may attach another stream. Raises over-quota, at-capacity."""
         book, settings = self._service.book, self._service.settings
         most = book.shares.streams
         if most < settings.max_streams and book.streams_of(owner) >= most:
-            raise ProblemError("over-quota", f"at most {most} streams of a key", retry_after_s=1.0)
+            raise ProblemError(ProblemCode.OVER_QUOTA, f"at most {most} streams of a key", retry_after_s=1.0)
         if book.streams() >= settings.max_streams:
-            raise ProblemError("at-capacity", "no room for another stream", retry_after_s=1.0)
+            raise ProblemError(ProblemCode.AT_CAPACITY, "no room for another stream", retry_after_s=1.0)
 
     def _ready(self, session: Session, mode: Mode, name: str, scope: Scope, headers: Headers) -> dict[str, Any]:
         settings = self._service.settings
         base = f"{scope['scheme']}://{headers.get('host', '')}"
-        return {
-            "type": "ready",
-            "session": self._service.describe(session, base),
-            "mode": mode,
-            "credit": settings.credit_frames if mode == "lossless" else None,
-            "region_lag": settings.region_lag_frames,
-            "next_seq": session.last_number + 1,
-            "attachment": name,
-            "lost_after": session.lost_after,
-        }
+        return message(
+            Ready,
+            session=self._service.describe(session, base),
+            mode=mode.value,
+            credit=settings.credit_frames if mode is Mode.LOSSLESS else None,
+            region_lag=settings.region_lag_frames,
+            next_seq=session.last_number + 1,
+            attachment=name,
+            lost_after=session.lost_after,
+        )
 
     async def _refuse(
         self,
@@ -162,18 +154,9 @@ class StreamEndpoint:
             return
         # A browser's script cannot see the status of a refused handshake, but it sees this.
         await send({"type": "websocket.accept", "subprotocol": selected})
-        await send(codec.write({"type": "error", "problem": problem.body(scope["state"]["request_id"])}))
-        code = CLOSE_CODES.get(problem.code, 1011)
+        refusal = message(Error, problem=problem.body(scope["state"]["request_id"]), seq=None, ref=None)
+        await send(websocket_send(codec.encode(refusal)))
+        code = CLOSE_OF_REFUSAL.get(problem.code, CloseCode.INTERNAL)
         await send({"type": "websocket.close", "code": code, "reason": problem.code})
-        # Whoever was refused has nothing to say that anyone would read.
+        # Nobody reads what a refused client sends from now on.
         scope["extensions"].get(LEAVE_EXTENSION, lambda: None)()
-
-
-def _codec(offered: list[str], max_text_bytes: int) -> tuple[Codec, str | None]:
-    """The first subprotocol of ours that is offered, and what the handshake says; JSON without any."""
-    for name in offered:
-        if name == MsgpackCodec.name:
-            return MsgpackCodec(), name
-        if name == JsonCodec.name:
-            return JsonCodec(max_text_bytes), name
-    return JsonCodec(max_text_bytes), None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import IntEnum, StrEnum
+from typing import Self
 
 VERSION = 1
 IMAGE_TYPES = ("image/jpeg", "image/png", "image/webp")
@@ -120,19 +121,28 @@ class ProblemCode(StrEnum):
 
 
 class CloseCode(IntEnum):
-    """What the service closes a stream with."""
+    """What the service closes a stream with; ``meaning`` is empty where only handshakes are refused with it."""
 
-    SESSION_CLOSED = 1000
-    GOING_AWAY = 1001
-    MESSAGE_TOO_LARGE = 1009
-    INTERNAL = 1011
-    RESTART = 1012
+    meaning: str
+
+    def __new__(cls, code: int, meaning: str = "") -> Self:
+        """Return the member for ``code``."""
+        made = int.__new__(cls, code)
+        made._value_ = code
+        made.meaning = meaning
+        return made
+
+    SESSION_CLOSED = 1000, "the session was closed"
+    GOING_AWAY = 1001, "the service goes away"
+    MESSAGE_TOO_LARGE = 1009, "a message above twice `max_frame_bytes`"
+    INTERNAL = 1011, "a fault of the service, or no pong"
+    RESTART = 1012, "the service restarts"
     AT_CAPACITY = 1013
-    UNREADABLE = 4400
+    UNREADABLE = 4400, "an unreadable message or the wrong opcode"
     UNAUTHENTICATED = 4401
     REFUSED = 4403
     NOT_FOUND = 4404
-    IDLE = 4408
-    ATTACHED_ELSEWHERE = 4409
-    SESSION_GONE = 4410
-    RATE_LIMITED = 4429
+    IDLE = 4408, "the session was idle for too long"
+    ATTACHED_ELSEWHERE = 4409, "another stream took over"
+    SESSION_GONE = 4410, "the session is gone"
+    RATE_LIMITED = 4429, "too many messages"

@@ -1,1 +1,1 @@
-"""Frames over a WebSocket: two subprotocols, two flow modes, one attachment a session."""
+"""A stream's connection: one task reads messages and queues frames, another has them tracked and answers."""

@@ -12,8 +12,9 @@ from pydantic import SecretStr
 
 from service.api import asyncapi, capabilities, page
 from service.app import create_app
-from service.problems import CATALOGUE, ProblemError
-from service.schemas import examples, messages, session
+from service.protocol import answers, examples
+from service.protocol.problems import CATALOGUE, ProblemError
+from service.protocol.schema import adapter
 from service.settings import Settings
 
 PROTOCOL = Path(__file__).resolve().parents[3] / "docs" / "protocol.md"
@@ -142,25 +143,25 @@ def test_every_problem_is_documented_with_its_example(openapi: dict[str, Any]) -
     # The first two are of no call in particular.
     assert set(CATALOGUE) - set(shown) == {"not-found", "method-not-allowed"}
     for code, body in shown.items():
-        assert session.Problem.model_validate(body).code == code
+        assert adapter(answers.ProblemDocument).validate_python(body).code == code
         assert body["status"] == CATALOGUE[code].status
 
 
 def test_examples_fit_their_models() -> None:
-    session.Session.model_validate(examples.SESSION)
-    session.Result.model_validate(examples.RESULT)
-    session.TrajectoryAnswer.model_validate(examples.TRAJECTORY)
-    session.Capabilities.model_validate(examples.CAPABILITIES)
+    adapter(answers.SessionInfo).validate_python(examples.SESSION)
+    adapter(answers.Result).validate_python(examples.RESULT)
+    adapter(answers.Trajectory).validate_python(examples.TRAJECTORY)
+    adapter(answers.Capabilities).validate_python(examples.CAPABILITIES)
     document = asyncapi.document()
-    for model in (*messages.CLIENT, *messages.SERVER):
-        for example in asyncapi.EXAMPLES[model.__name__]:
-            check(document, {"$ref": f"#/components/schemas/{model.__name__}"}, example)
+    for kind in asyncapi.MESSAGES:
+        for example in examples.STREAM[kind.__name__]:
+            check(document, {"$ref": f"#/components/schemas/{kind.__name__}"}, example)
 
 
 def test_what_the_service_says_of_itself_is_the_example() -> None:
     app = create_app(Settings(lanes=2))
     told = capabilities.capabilities(app.state.service)
-    session.Capabilities.model_validate(told)
+    adapter(answers.Capabilities).validate_python(told)
     assert told["limits"] == examples.CAPABILITIES["limits"]
 
 
@@ -182,7 +183,7 @@ def test_the_page_shows_all(openapi: dict[str, Any]) -> None:
         assert ProblemError(code, "d").body()["type"] == f"/docs#{code}"
     for path in openapi["paths"]:
         assert path in html
-    for model in (*messages.CLIENT, *messages.SERVER):
-        assert f"<code>{model.__name__}</code>" in html
+    for kind in asyncapi.MESSAGES:
+        assert f"<code>{kind.__name__}</code>" in html
     assert "http://" not in re.sub(r"ws?://127|http://127", "", html)
     assert "https://" not in html

@@ -12,14 +12,15 @@ from hypothesis import strategies as st
 from service.lanes.cores import lanes_for, usable_cores
 from service.lanes.fair import FairQueue, FairTurns
 from service.lanes.wire import Disorder, Splitter, decode_call, encode_call, framed
-from service.problems import ProblemError
+from service.protocol.enums import Mode
+from service.protocol.problems import ProblemError
+from service.protocol.requests import Remove
 from service.sessions.bucket import Bucket
 from service.sessions.memory import Memory
 from service.sessions.room import Room, Share
 from service.sessions.session import Frame
 from service.sessions.trajectory import Entry, Trajectory, unpacked
-from service.stream.flow import Flow, Mode
-from service.stream.messages import Control
+from service.stream.frame_queue import FrameQueue
 
 ROW = [0, [1.0, 2.0, 3.0, 4.0], "tracking", True, None, None, 12.5, True, 1.0]
 
@@ -102,15 +103,15 @@ def frame(seq: int) -> Frame:
     return Frame(b"", seq, None, None, 0.0, 0.0)
 
 
-def flow(mode: Mode, credit: int = 2) -> Flow:
-    return Flow(mode, credit, lambda: None, Share(Room(1 << 20)))
+def queue_of(mode: Mode, credit: int = 2) -> FrameQueue:
+    return FrameQueue(mode, credit, lambda: None, Share(Room(1 << 20)))
 
 
-CONTROL = Control({"type": "remove", "target": 0}, None, on_next=False)
+CONTROL = Remove(target=0)
 
 
 async def test_latest_keeps_the_newest_and_the_order_of_controls() -> None:
-    waiting = flow("latest")
+    waiting = queue_of(Mode.LATEST)
     waiting.put_frame(frame(1), [])
     waiting.put_control(CONTROL)
     waiting.put_frame(frame(2), [CONTROL])
@@ -123,7 +124,7 @@ async def test_latest_keeps_the_newest_and_the_order_of_controls() -> None:
 
 
 async def test_lossless_refuses_above_the_credit() -> None:
-    waiting = flow("lossless")
+    waiting = queue_of(Mode.LOSSLESS)
     waiting.put_frame(frame(1), [])
     waiting.put_frame(frame(2), [])
     with pytest.raises(ProblemError, match="over-credit"):
@@ -135,9 +136,9 @@ async def test_lossless_refuses_above_the_credit() -> None:
 
 
 async def test_controls_that_wait_are_bounded() -> None:
-    waiting = flow("latest")
+    waiting = queue_of(Mode.LATEST)
     for _ in range(64):
-        waiting.put_control(Control({}, None, on_next=True))
+        waiting.put_control(Remove(target=0, on="next"))
     with pytest.raises(ProblemError, match="rate-limited"):
         waiting.put_control(CONTROL)
     taken = waiting.take_for_next()
@@ -147,7 +148,7 @@ async def test_controls_that_wait_are_bounded() -> None:
 
 
 async def test_whoever_waits_is_woken() -> None:
-    waiting = flow("latest")
+    waiting = queue_of(Mode.LATEST)
     task = asyncio.create_task(waiting.next())
     await asyncio.sleep(0)
     waiting.put_frame(frame(1), [])

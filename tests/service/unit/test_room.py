@@ -15,15 +15,16 @@ from service.api.trajectory import ROWS_AT_ONCE, _some
 from service.container import LEAST, MOST, room_bytes, usable_memory
 from service.observability.lag import WINDOW_S, Lag
 from service.observability.sampled import LINES_A_SECOND, Sampled
-from service.problems import ProblemError
-from service.schemas.packed import MAX_ITEMS_IN_ALL, MAX_TEXT_BYTES, Unreadable, from_json, from_msgpack, to_msgpack
+from service.protocol.documents import MAX_ITEMS_IN_ALL, MAX_TEXT_BYTES, Unreadable, from_json, from_msgpack, to_msgpack
+from service.protocol.enums import Mode
+from service.protocol.problems import ProblemError
 from service.sessions.few import Few
 from service.sessions.meter import MAX_LATE_S, Meter
 from service.sessions.room import STRANGER, Room, Share
 from service.sessions.session import Frame
 from service.sessions.trajectory import Entry
 from service.settings import Settings
-from service.stream.flow import Flow, Mode
+from service.stream.frame_queue import FrameQueue
 
 
 class Clock:
@@ -74,29 +75,29 @@ def test_the_room_counts_right_whatever_is_asked_of_it(steps: list[tuple[int, in
     assert (room.held, room._of) == (0, {})
 
 
-@pytest.mark.parametrize("mode", ["latest", "lossless"])
+@pytest.mark.parametrize("mode", list(Mode))
 def test_frames_that_wait_count_until_they_are_answered(mode: Mode) -> None:
     room = Room(100)
-    flow = Flow(mode, 4, lambda: None, Share(room, "a"))
+    queue = FrameQueue(mode, 4, lambda: None, Share(room, "a"))
 
     def put(seq: int, size: int) -> None:
-        flow.put_frame(Frame(bytes(size), seq, None, None, 0.0, 0.0), [])
+        queue.put_frame(Frame(bytes(size), seq, None, None, 0.0, 0.0), [])
 
     async def scenario() -> None:
         put(1, 30)
-        job = await flow.next()
+        job = await queue.next()
         put(2, 20)
         with pytest.raises(ProblemError, match="at-capacity"):
             put(3, 45)
-        flow.answered(job)
+        queue.answered(job)
         assert room.held == 20
         put(4, 25)
         assert room.held == (25 if mode == "latest" else 45)
-        job = await flow.next()
-        flow.discard()
-        flow.answered(job)
+        job = await queue.next()
+        queue.discard()
+        queue.answered(job)
         assert room.held == 0
-        flow.close()
+        queue.close()
 
     asyncio.run(scenario())
     assert room.held == 0

@@ -1,4 +1,4 @@
-"""What waits for the lane: in ``latest`` one frame at most, in ``lossless`` as many as the credit."""
+"""What waits for the lane: one frame at most in ``latest``, as many as the credit in ``lossless``."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ import asyncio
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
 
-from ..problems import ProblemError
+from ..protocol.enums import Mode, ProblemCode
+from ..protocol.problems import ProblemError
+from ..protocol.requests import Control
 from ..sessions.room import Share
 from ..sessions.session import Frame
-from .messages import Control
 
-Mode = Literal["latest", "lossless"]
 MAX_WAITING_CONTROLS = 64
 
 
@@ -25,10 +24,17 @@ class Job:
     controls: list[Control] = field(default_factory=list)
 
 
-class Flow:
-    """The queue between the reader of a socket and the session; order is that of the messages.
+class FrameQueue:
+    """The queue between the reader of a socket and the session, in the order of the messages.
 
-    ``share`` holds the bytes of frames from here until they are answered.
+    Parameters
+    ----------
+    mode, credit
+        In ``lossless`` at most ``credit`` frames are unanswered; in ``latest`` a newer frame supersedes a waiting one.
+    on_superseded
+        Called for each frame that is superseded.
+    share
+        Holds the bytes of frames from here until they are answered.
     """
 
     def __init__(self, mode: Mode, credit: int, on_superseded: Callable[[], None], share: Share) -> None:
@@ -49,19 +55,19 @@ class Flow:
         return not self._jobs
 
     def take_for_next(self) -> list[Control]:
-        """The controls that wait for the frame message that has just come."""
+        """Return the controls that waited for the frame message that has just come."""
         controls, self._for_next = self._for_next, []
         return controls
 
     def put_frame(self, frame: Frame, controls: list[Control]) -> None:
-        """Queue a frame. In ``latest`` it takes the place of the one that waits. Raises over-credit, at-capacity.
+        """Queue a frame; in ``latest`` it supersedes the one that waits. Raises over-credit, at-capacity.
 
         A frame with controls of its own is not superseded: they would act on a frame they were not made for.
         """
-        if self.mode == "lossless":
+        if self.mode == Mode.LOSSLESS:
             if self._unanswered >= self._credit:
                 detail = f"at most {self._credit} unanswered frames"
-                raise ProblemError("over-credit", detail, retry_after_s=0.1)
+                raise ProblemError(ProblemCode.OVER_CREDIT, detail, retry_after_s=0.1)
             self._share.take(len(frame.data))
             self._unanswered += 1
         else:
@@ -79,35 +85,35 @@ class Flow:
     def put_control(self, control: Control) -> None:
         """Queue a control. Raises rate-limited when too many wait."""
         if self._controls >= MAX_WAITING_CONTROLS:
-            raise ProblemError("rate-limited", "too many controls wait", retry_after_s=0.1)
+            raise ProblemError(ProblemCode.RATE_LIMITED, "too many controls wait", retry_after_s=0.1)
         self._controls += 1
-        if control.on_next:
+        if control.on == "next":
             self._for_next.append(control)
         else:
             self._jobs.append(Job(None, [control]))
             self._wake.set()
 
     async def next(self) -> Job:
-        """The next job, when there is one."""
+        """Wait for the next job and return it."""
         while not self._jobs:
             self._wake.clear()
             await self._wake.wait()
         return self._jobs.popleft()
 
     def answered(self, job: Job) -> None:
-        """The client is about to be told of ``job``."""
+        """Release what ``job`` held, as the client is about to have its answer."""
         self._controls -= len(job.controls)
         if job.frame is not None:
             self._share.give(len(job.frame.data))
-            if self.mode == "lossless":
+            if self.mode == Mode.LOSSLESS:
                 self._unanswered -= 1
 
     def refused(self, controls: list[Control]) -> None:
-        """Controls went down with their frame."""
+        """Release controls that were refused with their frame."""
         self._controls -= len(controls)
 
     def take_dropped(self) -> int:
-        """Frames superseded since this was last asked."""
+        """Return the number of frames superseded since the last call."""
         dropped, self.dropped = self.dropped, 0
         return dropped
 
@@ -118,6 +124,6 @@ class Flow:
         self._for_next.clear()
 
     def close(self) -> None:
-        """Nothing comes or is answered any more."""
+        """Forget all that waits, and release what is still held: nothing comes or is answered any more."""
         self.discard()
         self._share.hold(0)
