@@ -35,14 +35,14 @@ from .lanes.interface import Lanes
 from .lanes.pool import LanePool
 from .observability.exposition import Exposition
 from .observability.metrics import Metrics
-from .seal import Seal
 from .service import Service
-from .sessions.book import SessionBook
+from .sessions.byte_budget import ByteBudget
+from .sessions.concurrency import ConcurrencyLimit
 from .sessions.config import lane_config
-from .sessions.few import Few
-from .sessions.meter import Meter
-from .sessions.room import Room
+from .sessions.rate_limiter import RateLimiter
+from .sessions.registry import SessionRegistry
 from .settings import Settings
+from .snapshot_signer import SnapshotSigner
 
 if TYPE_CHECKING:
     from .observability.tracing import Tracing
@@ -70,13 +70,15 @@ def create_app(
     metrics = Metrics(_tracing(settings))
     lanes = lanes or local_lanes(settings)
     gate = Gate(settings, clock)
-    book = SessionBook(settings, lanes, metrics, clock, gate.owners)
+    registry = SessionRegistry(settings, lanes, metrics, clock, gate.owners)
     secrets = [secret.get_secret_value().encode() for secret in settings.signing_keys]
-    seal = Seal(secrets or [token_bytes(SECRET_BYTES)])
-    meter, room = Meter(settings, clock), Room(settings.max_upload_bytes)
-    metrics.watch_room(room)
-    exposition = Exposition(metrics, book.__len__, settings.capacity, lanes, book.keeper.budget)
-    service = Service(settings, lanes, book, gate, metrics, exposition, meter, room, seal, *few(settings))
+    signer = SnapshotSigner(secrets or [token_bytes(SECRET_BYTES)])
+    rate_limiter, byte_budget = RateLimiter(settings, clock), ByteBudget(settings.max_upload_bytes)
+    metrics.watch_room(byte_budget)
+    exposition = Exposition(metrics, registry.__len__, settings.capacity, lanes, registry.store.budget)
+    service = Service(
+        settings, lanes, registry, gate, metrics, exposition, rate_limiter, byte_budget, signer, *slots(settings)
+    )
 
     app = FastAPI(
         title="MFCMT",
@@ -103,10 +105,11 @@ def create_app(
     return app
 
 
-def few(settings: Settings) -> tuple[Few, Few]:
+def slots(settings: Settings) -> tuple[ConcurrencyLimit, ConcurrencyLimit]:
     """How many snapshots and trajectories of a key are made at once."""
     wait_s = settings.operation_deadline_s
-    return Few(SNAPSHOTS_AT_ONCE, wait_s, "snapshots"), Few(TRAJECTORIES_AT_ONCE, wait_s, "trajectories")
+    snapshots = ConcurrencyLimit(SNAPSHOTS_AT_ONCE, wait_s, "snapshots")
+    return snapshots, ConcurrencyLimit(TRAJECTORIES_AT_ONCE, wait_s, "trajectories")
 
 
 def local_lanes(settings: Settings) -> LanePool:
@@ -152,15 +155,16 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         log.warning("no MFCMT_STATE_DIR: sessions end with this process")
     keepers: list[asyncio.Task[None]] = []
     try:
-        await service.book.load()
+        await service.registry.load()
         await service.lanes.start()
-        background = [service.book.keep, service.book.follow_lanes, service.follow_keys, service.metrics.lag.watch]
+        registry = service.registry
+        background = [registry.run_sweeper, registry.follow_lanes, service.follow_keys, service.metrics.lag.watch]
         keepers += [asyncio.create_task(_lasting(work)) for work in background]
         yield
     finally:
-        await service.book.park()
-        for keeper in keepers:
-            keeper.cancel()
+        await service.registry.save_all()
+        for store in keepers:
+            store.cancel()
         await asyncio.gather(*keepers, return_exceptions=True)
         await service.lanes.stop()
         if service.metrics.tracing is not None:

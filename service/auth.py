@@ -13,7 +13,7 @@ import structlog
 from .hosts import Hosts
 from .keys import Identity, by_digest, digest, read_keys
 from .problems import ProblemError
-from .sessions.memory import Memory
+from .sessions.ttl_cache import TTLCache
 from .settings import Settings
 
 ANYONE = "anyone"
@@ -43,7 +43,7 @@ class Gate:
         self._admin = digest(settings.admin_key.get_secret_value()) if settings.admin_key else None
         self._origins = frozenset(settings.allowed_origins)
         self._hosts = Hosts(settings.host, settings.public_url) if self._open else None
-        self._tickets: Memory[Ticket] = Memory(settings.max_tickets, settings.ticket_s, clock)
+        self._tickets: TTLCache[Ticket] = TTLCache(settings.max_tickets, settings.ticket_s, clock)
 
     def refresh(self) -> bool:
         """Read the file of keys again if it has changed and is at rest: whether the keys have changed.

@@ -20,7 +20,7 @@ from .connections import allow_files, protocols
 from .service import Service
 from .settings import Settings
 
-# Room for the envelope of a MessagePack message.
+# ByteBudget for the envelope of a MessagePack message.
 ENVELOPE_BYTES = 4096
 SHUTDOWN_S = 5
 # All connections that wait are accepted in one turn of the event loop; more of them try again a second later.
@@ -81,21 +81,21 @@ class Server(uvicorn.Server):
             self._draining = asyncio.ensure_future(self._drain(name))
         else:
             log.info("stopping at once", signal=name)
-            self._service.book.end_streams(1012, "service restart")
+            self._service.registry.end_streams(1012, "service restart")
             # Nothing is tidied up: the lanes end with this process, and what it has saved is whole.
             asyncio.get_running_loop().call_later(DRAIN_TICK_S, os._exit, 0)
 
     async def _drain(self, name: str) -> None:
-        book, grace_s = self._service.book, self._service.settings.drain_grace_s
-        log.info("draining", signal=name, streams=book.streams(), sessions=len(book))
+        registry, grace_s = self._service.registry, self._service.settings.drain_grace_s
+        log.info("draining", signal=name, streams=registry.streams(), sessions=len(registry))
         # Without a state directory streams may go on for the grace, with it they may come back at once.
         # Spread the returns, so that the next process is not met by all clients at once.
-        soonest_s = RETURN_S if book.keeper.durable else grace_s
-        book.drain(lambda: round(soonest_s + random.uniform(*SPREAD_S), 2))  # noqa: S311
+        soonest_s = RETURN_S if registry.store.durable else grace_s
+        registry.drain(lambda: round(soonest_s + random.uniform(*SPREAD_S), 2))  # noqa: S311
         deadline = asyncio.get_running_loop().time() + grace_s
-        while book.streams() and asyncio.get_running_loop().time() < deadline:
+        while registry.streams() and asyncio.get_running_loop().time() < deadline:
             await asyncio.sleep(DRAIN_TICK_S)
-        book.end_streams(1012, "service restart")
+        registry.end_streams(1012, "service restart")
         await asyncio.sleep(DRAIN_TICK_S)
         self.should_exit = True
 
@@ -107,7 +107,7 @@ def make_server(app: FastAPI, on_ready: Callable[[str], None] = lambda _: None) 
     """
     service: Service = app.state.service
     settings: Settings = service.settings
-    calls, frames = protocols(settings, service.room)
+    calls, frames = protocols(settings, service.byte_budget)
     config = uvicorn.Config(
         app,
         host=settings.host,

@@ -14,13 +14,13 @@ from .keys import Identity
 from .lanes.interface import Lanes
 from .observability.exposition import Exposition
 from .observability.metrics import Metrics
-from .seal import Seal
-from .sessions.book import SessionBook
-from .sessions.few import Few
-from .sessions.meter import Meter
-from .sessions.room import STRANGER, Room
+from .sessions.byte_budget import ANONYMOUS, ByteBudget
+from .sessions.concurrency import ConcurrencyLimit
+from .sessions.rate_limiter import RateLimiter
+from .sessions.registry import SessionRegistry
 from .sessions.session import Attachment, Session
 from .settings import Settings
+from .snapshot_signer import SnapshotSigner
 
 KEYS_EVERY_S = 1.0
 PROBES = frozenset({"/livez", "/readyz", "/metrics"})
@@ -34,21 +34,21 @@ class Service:
 
     settings: Settings
     lanes: Lanes
-    book: SessionBook
+    registry: SessionRegistry
     gate: Gate
     metrics: Metrics
     exposition: Exposition
-    meter: Meter
-    room: Room
-    seal: Seal
-    snapshots: Few
-    trajectories: Few
+    rate_limiter: RateLimiter
+    byte_budget: ByteBudget
+    signer: SnapshotSigner
+    snapshot_slots: ConcurrencyLimit
+    trajectory_slots: ConcurrencyLimit
 
     async def late(self, scope: MutableMapping[str, Any]) -> None:
         """Count the refusal of a call or handshake, and wait if its caller has too many. Probes never wait."""
         if scope["path"] not in PROBES:
             identity: Identity | None = scope["state"].get("identity")
-            await asyncio.sleep(self.meter.refusal(identity.owner if identity else STRANGER))
+            await asyncio.sleep(self.rate_limiter.refusal_delay_s(identity.owner if identity else ANONYMOUS))
 
     async def follow_keys(self) -> None:
         """Cut the streams of keys that are revoked and forget old tickets, for as long as the service runs."""
@@ -56,7 +56,7 @@ class Service:
             await asyncio.sleep(KEYS_EVERY_S)
             self.gate.sweep()
             if self.gate.refresh():
-                cut = self.book.end_streams(4401, "the key was revoked", self._revoked)
+                cut = self.registry.end_streams(4401, "the key was revoked", self._revoked)
                 log.info("streams of revoked keys cut", streams=cut)
 
     def _revoked(self, stream: Attachment) -> bool:
@@ -69,13 +69,13 @@ class Service:
         return {
             "id": session.id,
             "created_at": instant(session.created_at),
-            "expires_at": instant(self.book.expires_at(session)),
+            "expires_at": instant(self.registry.expires_at(session)),
             "label": session.options.label,
             "preset": session.options.preset,
             "size": session.size,
             "seq": session.seq,
             "region": session.region,
-            "targets": session.told_targets(),
+            "targets": session.target_maps(),
             "stream": {
                 "url": f"{secure}://{rest}/v1/sessions/{session.id}/stream",
                 "attached": session.attachment is not None,

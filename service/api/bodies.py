@@ -18,7 +18,7 @@ from starlette.requests import ClientDisconnect, Request
 from ..problems import ProblemError
 from ..schemas import fields
 from ..schemas.packed import Unreadable, from_json, from_msgpack
-from ..sessions.room import Share
+from ..sessions.byte_budget import Reservation
 from ..settings import Settings
 
 JSON, MSGPACK, FORM = "application/json", "application/msgpack", "multipart/form-data"
@@ -168,10 +168,10 @@ async def _bounded(request: Request, limit: int, code: str) -> AsyncGenerator[by
     length = request.headers.get("content-length", "0")
     if length.isdecimal() and int(length[:20]) > limit:
         raise too_large
-    share: Share = request.scope["state"][HELD]
+    share: Reservation = request.scope["state"][HELD]
     read_bytes = 0
     async for part in request.stream():
-        share.take(len(part))
+        share.grow(len(part))
         read_bytes += len(part)
         if read_bytes > limit:
             raise too_large

@@ -9,8 +9,8 @@ from fastapi import APIRouter
 from starlette.responses import Response
 
 from ..schemas.session import Limits, Preset
-from ..seal import READABLE
 from ..service import Service
+from ..snapshot_signer import READABLE
 from . import contract
 from .answers import answer
 from .deps import Accepted, Caller, ServiceDep
@@ -31,7 +31,7 @@ async def get_capabilities(service: ServiceDep, caller: Caller, accepted: Accept
 def capabilities(service: Service) -> dict[str, Any]:
     """The Capabilities of the protocol."""
     limits = {name: getattr(service.settings, name) for name in Limits.model_fields}
-    shares = service.book.shares
+    shares = service.registry.shares
     limits |= {"max_sessions_per_key": shares.sessions, "max_streams_per_key": shares.streams}
     lanes = next((status.versions for status in service.lanes.status() if status.versions), {})
     return {

@@ -48,7 +48,7 @@ Accepted = Annotated[str, Depends(_accepted)]
 
 
 async def _session(service: ServiceDep, caller: Caller, session_id: str) -> Session:
-    return service.book.find(caller, session_id)
+    return service.registry.find(caller, session_id)
 
 
 SessionDep = Annotated[Session, Depends(_session)]

@@ -36,10 +36,10 @@ async def post_frame(
     arrived = time.monotonic()
     number = seq
     try:
-        service.meter.frame(session.owner)
+        service.rate_limiter.count_frame(session.owner)
         with session.in_use():
             upload = await bodies.read_upload(request, service.settings, raw=True)
-        service.meter.add_bytes(session.owner, len(upload.frame))
+        service.rate_limiter.count_bytes(session.owner, len(upload.frame))
         service.metrics.http_frame(len(upload.frame))
         told = {"ts": ts, "region": region and [int(v) for v in region.split(",")]} | upload.fields
         number = fields.seq(told.pop("seq", seq))

@@ -51,7 +51,7 @@ def _health(service: Service) -> dict[str, Any]:
     status = "ok"
     if not ready:
         status = "failing" if any(lane.failing for lane in lanes) else "starting"
-    if service.book.draining:
+    if service.registry.draining:
         status = "draining"
     return {"status": status, "lanes_ready": ready, "lanes": len(lanes)}
 

@@ -17,7 +17,7 @@ from ..connections import CROWDED, SHARE
 from ..observability.sampled import Sampled
 from ..problems import CATALOGUE, ProblemError
 from ..service import Service
-from ..sessions.room import Share
+from ..sessions.byte_budget import Reservation
 from .answers import problem_response
 from .bodies import HELD
 
@@ -86,7 +86,7 @@ class Surroundings:
             await send(message)
 
         await turns.give_way()
-        held = scope["state"][HELD] = Share(self._service.room)
+        held = scope["state"][HELD] = Reservation(self._service.byte_budget)
         try:
             self._service.gate.check_browser(headers)
             if scope["state"].get(CROWDED) and scope["path"] not in PROBES:
@@ -107,7 +107,7 @@ class Surroundings:
                 scope["state"]["problem"] = problem
                 await problem_response(problem, request_id)(asked, receive, answer)
         finally:
-            held.hold(0)
+            held.resize(0)
             self._record(asked, scope["method"], status, time.monotonic() - began)
 
     def _admit(self, scope: Scope, headers: Headers) -> None:
@@ -116,10 +116,10 @@ class Surroundings:
             return
         state = scope["state"]
         identity = state[IDENTITY] = self._service.gate.identify(headers)
-        self._service.meter.call(identity.owner)
+        self._service.rate_limiter.count_call(identity.owner)
         for share in (state[HELD], state.get(SHARE)):
             if share is not None:
-                share.belong(identity.owner)
+                share.assign(identity.owner)
 
     def _cors(self, asked: Headers, told: MutableHeaders) -> None:
         if (origin := asked.get("origin")) is not None:

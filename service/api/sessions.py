@@ -12,9 +12,9 @@ from starlette.responses import Response
 
 from ..problems import ProblemError
 from ..schemas.session import Options as OptionsModel
-from ..seal import BadSeal
 from ..service import Service
 from ..sessions.session import Options, Session
+from ..snapshot_signer import BadSignature
 from . import bodies, contract
 from .answers import answer
 from .deps import Accepted, Caller, ServiceDep, SessionDep
@@ -30,18 +30,18 @@ async def create_session(request: Request, service: ServiceDep, caller: Caller, 
     key = request.headers.get("idempotency-key")
     if key is not None and not KEY.fullmatch(key):
         raise ProblemError("bad-request", "Idempotency-Key is 1 to 255 printable characters")
-    service.meter.frame(caller)
+    service.rate_limiter.count_frame(caller)
     if bodies.media_type(request) in (bodies.SNAPSHOT, bodies.BYTES):
         snapshot = await bodies.read(request, settings.max_snapshot_bytes, settings)
-        service.meter.add_bytes(caller, len(snapshot))
+        service.rate_limiter.count_bytes(caller, len(snapshot))
         try:
-            contents = await asyncio.to_thread(service.seal.open, caller, snapshot)
-        except BadSeal as bad:
+            contents = await asyncio.to_thread(service.signer.verify, caller, snapshot)
+        except BadSignature as bad:
             raise ProblemError("bad-snapshot", str(bad)) from bad
-        session = await service.book.restore(caller, contents, key)
+        session = await service.registry.restore(caller, contents, key)
         return _made(request, service, session, accepted)
     upload = await bodies.read_upload(request, settings, raw=False)
-    service.meter.add_bytes(caller, len(upload.frame))
+    service.rate_limiter.count_bytes(caller, len(upload.frame))
     told = upload.fields
     boxes = bodies.boxes(told)
     if len(boxes) > settings.max_targets_per_session:
@@ -49,14 +49,14 @@ async def create_session(request: Request, service: ServiceDep, caller: Caller, 
     options = _options(bodies.checked(OptionsModel, told.pop("options", None) or {}), service)
     bodies.nothing_more(told, "frame", "box", "boxes", "options")
     service.metrics.http_frame(len(upload.frame))
-    repeated = await service.book.repeated(caller, upload.frame, boxes, options, key)
+    repeated = await service.registry.repeated(caller, upload.frame, boxes, options, key)
     if repeated is not None:
         # Its frame is not needed any more, and the first may take long.
         upload.frame = b""
-        request.scope["state"][bodies.HELD].hold(0)
-        session = service.book.find(caller, await asyncio.shield(repeated))
+        request.scope["state"][bodies.HELD].resize(0)
+        session = service.registry.find(caller, await asyncio.shield(repeated))
         return _made(request, service, session, accepted)
-    session = await service.book.create(caller, upload.frame, boxes, options, key)
+    session = await service.registry.create(caller, upload.frame, boxes, options, key)
     return _made(request, service, session, accepted)
 
 
@@ -70,7 +70,7 @@ async def list_sessions(
     after: Annotated[str, Query(pattern="^[0-9]{0,18}$", description="`next` of the page before")] = "",
 ) -> Response:
     """The caller's own sessions, oldest first."""
-    page, following = service.book.owned(caller, int(after or 0), limit)
+    page, following = service.registry.list_owned(caller, int(after or 0), limit)
     base = str(request.base_url)
     content = {
         "sessions": [service.describe(session, base) for session in page],
@@ -88,7 +88,7 @@ async def get_session(request: Request, service: ServiceDep, session: SessionDep
 @router.delete("/sessions/{session_id}", status_code=204, **contract.DELETE_SESSION)
 async def delete_session(service: ServiceDep, caller: Caller, session_id: str) -> Response:
     """End a session; again 204 for as long as it is remembered."""
-    service.book.close(caller, session_id)
+    service.registry.close(caller, session_id)
     return Response(status_code=204)
 
 

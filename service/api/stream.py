@@ -17,7 +17,7 @@ from ..protocol.codecs import CODECS, JSON, Codec
 from ..protocol.enums import CloseCode, Mode, ProblemCode
 from ..protocol.problems import CLOSE_OF_REFUSAL, ProblemError
 from ..service import Service
-from ..sessions.room import Share
+from ..sessions.byte_budget import Reservation
 from ..sessions.session import Session
 from ..stream.connection import StreamConnection
 from ..stream.frame_queue import FrameQueue
@@ -48,16 +48,16 @@ class StreamEndpoint:
             return
         settings = self._service.settings
         superseded = self._service.metrics.frames_dropped.labels(reason="superseded").inc
-        share = Share(self._service.room, identity.owner)
+        share = Reservation(self._service.byte_budget, identity.owner)
         if (held := scope["state"].get(SHARE)) is not None:
-            held.belong(identity.owner)
+            held.assign(identity.owner)
         connection = StreamConnection(
             session,
             identity,
             codec,
             FrameQueue(mode, settings.credit_frames, superseded, share),
             settings,
-            self._service.meter,
+            self._service.rate_limiter,
             self._service.metrics,
             receive,
             send,
@@ -87,8 +87,8 @@ class StreamEndpoint:
             raise ProblemError(ProblemCode.NOT_FOUND, detail)
         identity = service.gate.redeem(scope["subprotocols"], sid) or service.gate.identify(headers)
         scope["state"]["identity"] = identity
-        service.meter.call(identity.owner)
-        if service.book.draining:
+        service.rate_limiter.count_call(identity.owner)
+        if service.registry.draining:
             grace_s = service.settings.drain_grace_s
             raise ProblemError(ProblemCode.DRAINING, "the service is shutting down", retry_after_s=grace_s)
         query = parse_qs(scope["query_string"].decode("latin-1"))
@@ -98,7 +98,7 @@ class StreamEndpoint:
         takeover = query.get("takeover", ["false"])[-1]
         if takeover not in ("true", "false"):
             raise ProblemError(ProblemCode.BAD_REQUEST, "takeover is true or false")
-        session = service.book.find(identity.owner, sid)
+        session = service.registry.find(identity.owner, sid)
         standing = session.attachment
         if standing is not None and takeover == "false" and query.get("resume") != [standing.name]:
             raise ProblemError(ProblemCode.ATTACHED_ELSEWHERE, "a stream is attached")
@@ -108,11 +108,11 @@ class StreamEndpoint:
 
     def _check_quota(self, owner: str) -> None:
         """Make sure that ``owner`` may attach another stream. Raises over-quota, at-capacity."""
-        book, settings = self._service.book, self._service.settings
-        most = book.shares.streams
-        if most < settings.max_streams and book.streams_of(owner) >= most:
+        registry, settings = self._service.registry, self._service.settings
+        most = registry.shares.streams
+        if most < settings.max_streams and registry.streams_of(owner) >= most:
             raise ProblemError(ProblemCode.OVER_QUOTA, f"at most {most} streams of a key", retry_after_s=1.0)
-        if book.streams() >= settings.max_streams:
+        if registry.streams() >= settings.max_streams:
             raise ProblemError(ProblemCode.AT_CAPACITY, "no room for another stream", retry_after_s=1.0)
 
     def _ready(self, session: Session, mode: Mode, name: str, scope: Scope, headers: Headers) -> dict[str, Any]:

@@ -54,5 +54,5 @@ async def _act(session: Session, control: dict[str, Any]) -> dict[str, Any]:
     """The change, told to the stream too if one is attached."""
     target, region = await session.control(control)
     if session.attachment is not None:
-        session.attachment.tell({"type": "targets", "region": region, "targets": session.told_targets()})
+        session.attachment.tell({"type": "targets", "region": region, "targets": session.target_maps()})
     return {"target": target, "region": region}

@@ -73,7 +73,7 @@ class _InParts(StreamingResponse):
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send it. Raises over-quota."""
-        async with self._service.trajectories.turn(self._owner):
+        async with self._service.trajectory_slots.slot(self._owner):
             await super().__call__(scope, receive, send)
 
 

@@ -47,15 +47,15 @@ def run(args: argparse.Namespace) -> int:
     from ..app import create_app
     from ..observability import logs
     from ..server import make_server
-    from ..sessions.vault import BadState
+    from ..sessions.sqlite_store import StateDirError
 
     logs.configure(settings.log_format, settings.log_level)
     for line in unread_settings():
         log.warning(line)
     app = create_app(settings)
     try:
-        app.state.service.book.keeper.open()
-    except BadState as bad:
+        app.state.service.registry.store.open()
+    except StateDirError as bad:
         print(f"mfcmt serve: {bad}", file=sys.stderr)
         return 1
 
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
         # uvicorn has logged why: an address in use, a part that did not start.
         print("mfcmt serve: could not start", file=sys.stderr)
         return int(failed.code or 1)
-    if not app.state.service.book.keeper.all_written:
+    if not app.state.service.registry.store.all_written:
         told = "sessions could not be written when the service stopped; the next start has an older state of them"
         print(f"mfcmt serve: {told}. Make room in {settings.state_dir}", file=sys.stderr)
         return NOT_WRITTEN

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import resource
 
-from ..sessions.room import Room
+from ..sessions.byte_budget import ByteBudget
 from ..settings import Settings
 from .base import ABORT_EXTENSION, CROWDED, CUT_ABOVE, LEAVE_EXTENSION, SHARE
 from .calls import CallProtocol
@@ -15,7 +15,7 @@ __all__ = ["ABORT_EXTENSION", "CROWDED", "LEAVE_EXTENSION", "SHARE", "allow_file
 SPARE_FILES = 256
 
 
-def protocols(settings: Settings, room: Room) -> tuple[type[CallProtocol], type[FrameProtocol]]:
+def protocols(settings: Settings, room: ByteBudget) -> tuple[type[CallProtocol], type[FrameProtocol]]:
     """The two, bound to ``settings`` and ``room``: uvicorn makes an instance of each by itself."""
     members = {"settings": settings, "room": room}
     return type("Calls", (CallProtocol,), members), type("Frames", (FrameProtocol,), members)

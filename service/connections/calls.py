@@ -14,7 +14,7 @@ from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 from .. import turns
 from ..observability.sampled import Sampled
 from ..problems import CATALOGUE, MEDIA_TYPE, ProblemError
-from ..sessions.room import STRANGER, Room, Share
+from ..sessions.byte_budget import ANONYMOUS, ByteBudget, Reservation
 from ..settings import Settings
 from .base import CROWDED, CUT_ABOVE, SHARE, Timer
 
@@ -53,7 +53,7 @@ class CallProtocol(HttpToolsProtocol):
     """One call at a time is parsed; what comes behind it waits, and what a connection holds is counted."""
 
     settings: Settings
-    room: Room
+    room: ByteBudget
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """The clock of the first head runs from here."""
@@ -64,7 +64,7 @@ class CallProtocol(HttpToolsProtocol):
         self._head_bytes = self._unparsed = self._body_left = self._unread_bytes = self._empty_lines = (
             self._list_bytes
         ) = 0
-        self._share = Share(self.room)
+        self._share = Reservation(self.room)
         self._head_timer, self._write_timer = Timer(self.loop), Timer(self.loop)
         if len(self.connections) > CUT_ABOVE * self.settings.max_connections:
             transport.abort()
@@ -76,7 +76,7 @@ class CallProtocol(HttpToolsProtocol):
         self._head_timer.stop()
         self._write_timer.stop()
         self._gone, self._rest = True, b""
-        self._share.hold(0)
+        self._share.resize(0)
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
@@ -91,7 +91,7 @@ class CallProtocol(HttpToolsProtocol):
         self._upgraded = True
         self._flow.behind = False
         self._flow.resume_reading()
-        self._share.hold(0)
+        self._share.resize(0)
         super().handle_websocket_upgrade()
 
     def on_message_begin(self) -> None:
@@ -100,7 +100,7 @@ class CallProtocol(HttpToolsProtocol):
         self._in_head, self._head_bytes, self._unparsed, self._body_left = True, 0, 0, 0
         self._empty_lines = self._list_bytes = 0
         self._expect_head()
-        self._share.belong(STRANGER)
+        self._share.assign(ANONYMOUS)
         self.scope["state"][SHARE] = self._share
         self.scope["state"][CROWDED] = len(self.connections) > self.settings.max_connections
 
@@ -246,7 +246,7 @@ class CallProtocol(HttpToolsProtocol):
             return
         body = 0 if self.cycle is None else len(self.cycle.body)
         held = len(self._rest) + self._unparsed + body + self._unread_bytes + CALL_BYTES * len(self.pipeline)
-        if not self._share.hold(held if held > SMALL_BYTES else 0) and not self.transport.is_closing():
+        if not self._share.resize(held if held > SMALL_BYTES else 0) and not self.transport.is_closing():
             log.info("call refused", code="at-capacity", detail="too much is under way at once")
             self._rest = b""
             if self._unread_bytes or (self.cycle is not None and self.cycle.response_started):

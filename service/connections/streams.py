@@ -15,8 +15,8 @@ from websockets.streams import StreamReader
 
 from .. import turns
 from ..observability.sampled import Sampled
-from ..sessions.bucket import Bucket
-from ..sessions.room import Room, Share
+from ..sessions.byte_budget import ByteBudget, Reservation
+from ..sessions.rate_limiter import TokenBucket
 from ..settings import Settings
 from .base import ABORT_EXTENSION, CROWDED, LEAVE_EXTENSION, SHARE
 
@@ -59,15 +59,15 @@ class FrameProtocol(WebSocketsSansIOProtocol):
     """A client that stops reading, or floods, cannot keep its connection, and what it sends is counted."""
 
     settings: Settings
-    room: Room
+    room: ByteBudget
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._reader = self.conn.reader = PacedReader()
         self.conn.parser = self.conn.parse()  # on the reader that is there now
         next(self.conn.parser)
-        self._share = Share(self.room)
-        self._idle_frames = Bucket(self.settings.max_control_frames_per_s, time.monotonic())
+        self._share = Reservation(self.room)
+        self._idle_frames = TokenBucket(self.settings.max_control_frames_per_s, time.monotonic())
         self._queued_bytes = self._unread_bytes = self._in_a_row = 0
         self._begun_at = 0.0
         self._goes_on = self._served = False
@@ -78,7 +78,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         self._unread_bytes = 0
         self._reader.buffer.clear()
         self.frames = []
-        self._share.hold(0 if self._served else self._queued_bytes)  # until the application has taken it
+        self._share.resize(0 if self._served else self._queued_bytes)  # until the application has taken it
 
     def data_received(self, data: bytes) -> None:
         """Bytes of frames; of more frames than one turn's the rest waits for the next."""
@@ -162,7 +162,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         finally:
             self._served, self._queued_bytes = True, 0
             if self.disconnected:
-                self._share.hold(0)
+                self._share.resize(0)
 
     async def send(self, message: Any) -> None:
         """As ever; and a refused handshake is complete, so that uvicorn does not log it as a fault.
@@ -232,7 +232,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         """Hold what is here of this connection; cut it if there is no room."""
         begun = (self.conn.current_size or 0) + FRAGMENT_BYTES * len(self.frames)
         held = len(self._reader.buffer) + begun + self._queued_bytes + self._unread_bytes
-        if not self._share.hold(held) and not self.transport.is_closing():
+        if not self._share.resize(held) and not self.transport.is_closing():
             log.info("stream cut", code="at-capacity", detail="too much is under way at once")
             self._reader.buffer.clear()
             self.frames = []

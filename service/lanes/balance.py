@@ -17,7 +17,7 @@ LANES_REST_S, KEY_RESTS_S = 10.0, 60.0
 NOTHING = 0.001
 
 
-class Lately:
+class RecentUsage:
     """The part of a lane's time that each key has used of late, from 0 to 1."""
 
     def __init__(self, now: float) -> None:
@@ -42,7 +42,7 @@ class Lately:
         self._parts.pop(key, None)
         self._used.pop(key, None)
 
-    def look(self, now: float) -> None:
+    def update(self, now: float) -> None:
         """Take in what was used since this was last called."""
         passed = now - self._since
         if passed <= 0:
@@ -62,7 +62,7 @@ class Lately:
         self._used = rest
 
 
-class Mover:
+class Rebalancer:
     """Chooses which key should go where, one at a time, and lets things settle in between."""
 
     def __init__(self) -> None:

@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Mapping
 from multiprocessing import forkserver
 from typing import Any
 
-from .balance import Lately, Mover
+from .balance import Rebalancer, RecentUsage
 from .interface import (
     AtCapacity,
     Buffers,
@@ -55,8 +55,8 @@ class LanePool:
         self._deadline_s = deadline_s
         self._start_timeout_s = start_timeout_s
         self._max_rss_bytes = max_rss_bytes
-        self._lately = Lately(time.monotonic())
-        self._mover = Mover()
+        self._usage = RecentUsage(time.monotonic())
+        self._rebalancer = Rebalancer()
         self._lanes: list[LaneProcess] = [self._new(number) for number in range(count)]
         self._crashes = [0] * count
         self._homes: dict[str, LaneProcess] = {}
@@ -145,7 +145,7 @@ class LanePool:
         """Free the key's place."""
         lane = self._homes.pop(key, None)
         self._displaced.pop(key, None)
-        self._lately.forget(key)
+        self._usage.forget(key)
         if lane is not None:
             lane.forget(key)
         self._changed.set()
@@ -180,7 +180,7 @@ class LanePool:
         """
         least = 0.5 / self._keys_per_lane
         work = [least * keys for keys in self._load()]
-        for key, part in self._lately.parts():
+        for key, part in self._usage.parts():
             if key in self._homes:
                 work[self._homes[key].number] += max(0.0, part - least)
         return work
@@ -205,7 +205,7 @@ class LanePool:
         return self._crashes[number] > PATIENCE and not (lane.ready and lane.lasted_s() > STEADY_S)
 
     def _new(self, number: int) -> LaneProcess:
-        return LaneProcess(number, on_ready=self._ready, on_lost=self._lost, on_used=self._lately.add)
+        return LaneProcess(number, on_ready=self._ready, on_lost=self._lost, on_used=self._usage.add)
 
     def _spawn(self, work: Any) -> None:
         task = asyncio.get_running_loop().create_task(work)
@@ -258,13 +258,13 @@ class LanePool:
         while True:
             await asyncio.sleep(BALANCE_EVERY_S)
             now = time.monotonic()
-            self._lately.look(now)
+            self._usage.update(now)
             parts: list[dict[str, float]] = [{} for _ in self._lanes]
-            for key, part in self._lately.parts():
+            for key, part in self._usage.parts():
                 if key in self._homes:
                     parts[self._homes[key].number][key] = part
             room = [lane.number for lane in self._with_room() if not self._failing(lane.number)]
-            if (chosen := self._mover.choose(parts, room, now)) is not None:
+            if (chosen := self._rebalancer.choose(parts, room, now)) is not None:
                 self._events.put_nowait(LaneCrowded(*chosen))
 
     def _kill_all(self) -> None:

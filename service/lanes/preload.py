@@ -23,7 +23,7 @@ from mfcmt_core.images import FrameLimits
 from mfcmt_core.images.decode import decode
 from mfcmt_core.images.mend import mend
 
-from . import store as store
+from . import operations as operations
 
 cv2.setNumThreads(1)
 

@@ -15,9 +15,9 @@ from typing import Any, cast
 import msgpack
 
 from . import worker
-from .fair import FairTurns
+from .fair_queue import FairOwnerQueue
+from .framing import HELLO, NO_REPLY, TOOK, FramingError, Splitter, encode_call, framed
 from .interface import Buffers, LaneLost
-from .wire import HELLO, NO_REPLY, TOOK, Disorder, Splitter, encode_call, framed
 
 # While the lane works on a short call the next is already in its socket, so that it never waits for the front.
 PIPELINE = 2
@@ -59,7 +59,7 @@ class LaneProcess(asyncio.Protocol):
         self._on_ready = on_ready
         self._on_lost = on_lost
         self._on_used = on_used
-        self._queue: FairTurns[Call] = FairTurns()
+        self._queue: FairOwnerQueue[Call] = FairOwnerQueue()
         self._expected: dict[str, float] = {}
         self._in_flight: deque[tuple[int, Call]] = deque()
         self._working_since = 0.0
@@ -145,7 +145,7 @@ class LaneProcess(asyncio.Protocol):
                 else:
                     (took,) = TOOK.unpack_from(payload)
                     self._reply(call, took, payload[TOOK.size :])
-        except (Disorder, ValueError, struct.error):
+        except (FramingError, ValueError, struct.error):
             self.kill()
 
     def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002
@@ -170,7 +170,7 @@ class LaneProcess(asyncio.Protocol):
 
     def _reply(self, number: int, took: float, payload: bytes | memoryview) -> None:
         if not self._in_flight or self._in_flight[0][0] != number:
-            raise Disorder("a reply out of order")
+            raise FramingError("a reply out of order")
         _, call = self._in_flight.popleft()
         now = time.monotonic()
         used = now - self._working_since

@@ -13,19 +13,19 @@ from typing import Any
 
 import msgpack
 
+from .framing import HELLO, NO_REPLY, BlockingWire, decode_call, encode_reply
 from .orphans import die_with_parent
-from .wire import HELLO, NO_REPLY, BlockingWire, decode_call, encode_reply
 
 
 def main(sock: socket.socket, config: dict[str, Any]) -> None:
     """Serve ``sock`` until it ends."""
     die_with_parent()  # the fork server, which dies with the front, even if this computes for ever
     from .confine import confine
-    from .store import Store, versions
-    from .view import Refused
+    from .frame_view import Refused
+    from .operations import LaneOperations, versions
 
     wire = BlockingWire(sock)
-    store = Store(config)
+    store = LaneOperations(config)
     hello = {"versions": versions(), "confined": confine()}
     with contextlib.suppress(EOFError, ConnectionError):
         wire.send(HELLO, msgpack.packb(hello))

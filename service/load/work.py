@@ -88,7 +88,7 @@ async def _lane_rates(clip: Clip, count: int, seconds: float) -> list[float]:
 
 
 async def _busy(pool: Any, key: str, clip: Clip, seconds: float) -> float:
-    from ..lanes.wire import decode_reply, encode_call
+    from ..lanes.framing import decode_reply, encode_call
 
     options = {"preset": "default", "on_resize": "reject", "maps": False}
     create = encode_call("create", key, {"options": options, "boxes": [clip.box]}, clip.frame(0))

@@ -72,7 +72,7 @@ class Exposition:
         return b"".join(parts), media_type
 
     def _now(self, usage: list[LaneUsage]) -> Iterator[Metric]:
-        yield GaugeMetricFamily("mfcmt_sessions_active", "Sessions in the book", self._sessions())
+        yield GaugeMetricFamily("mfcmt_sessions_active", "Sessions that live now", self._sessions())
         yield GaugeMetricFamily("mfcmt_sessions_capacity", "Sessions that there is room for", self._capacity)
         rss = GaugeMetricFamily("mfcmt_lane_rss_bytes", "Resident memory of a lane", labels=["lane"])
         cpu = CounterMetricFamily("mfcmt_lane_cpu_seconds", "CPU time of a lane's process", labels=["lane"])

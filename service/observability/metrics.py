@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
 from ..problems import CATALOGUE
-from ..sessions.room import Room
+from ..sessions.byte_budget import ByteBudget
 from .lag import Lag
 from .stages import Stages
 
@@ -103,7 +103,7 @@ class Metrics:
         self._by_stream = self.frames_received.labels(via="stream")
         self._by_http = self.frames_received.labels(via="http")
 
-    def watch_room(self, room: Room) -> None:
+    def watch_room(self, room: ByteBudget) -> None:
         """Tell what is held of ``room``."""
         held = Gauge("mfcmt_under_way_bytes", "Bodies, messages and answers under way", registry=self.registry)
         held.set_function(lambda: room.held)

@@ -1,1 +1,1 @@
-"""The book of sessions: who owns what, where it lives, what it has seen, when it ends."""
+"""The registry of sessions: who owns what, where it lives, what it has seen, when it ends."""

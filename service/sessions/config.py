@@ -8,7 +8,7 @@ from ..settings import Settings
 
 
 def lane_config(settings: Settings) -> dict[str, Any]:
-    """Plain values for ``service.lanes.store.Store``; no secret is among them."""
+    """Plain values for ``service.lanes.operations.LaneOperations``; no secret is among them."""
     return {
         "frame_limits": {
             "max_bytes": settings.max_frame_bytes,

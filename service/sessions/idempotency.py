@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
 from ..problems import ProblemError
-from .memory import Memory
+from .ttl_cache import TTLCache
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,11 +19,11 @@ class Creation:
     session: asyncio.Future[str]
 
 
-class Creations:
+class IdempotentCreations:
     """At most ``most`` keys of each owner are remembered, each for ``seconds``."""
 
     def __init__(self, most: int, seconds: float, clock: Callable[[], float]) -> None:
-        self._known: Memory[Creation] = Memory(most, seconds, clock)
+        self._known: TTLCache[Creation] = TTLCache(most, seconds, clock)
 
     async def once(
         self, owner: str, key: str | None, data: bytes, rest: str, make: Callable[[], Awaitable[str]]

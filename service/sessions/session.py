@@ -18,9 +18,9 @@ from ..observability.stages import Stages
 from ..problems import ProblemError, session_gone
 from ..schemas.fields import MAX_SEQ
 from . import wiring
-from .bucket import Bucket
-from .journal import Operation
 from .lane_state import LaneState, Poisoned
+from .rate_limiter import TokenBucket
+from .replay_log import Operation
 from .trajectory import Entry, Trajectory
 
 T = TypeVar("T")
@@ -73,7 +73,7 @@ class Attachment(Protocol):
 class Session:
     """State, numbering and the one-at-a-time rule; ``ended`` is the reason once it has.
 
-    ``on_safe`` is called when a checkpoint or the first frame is kept, between two operations, ``on_poison``
+    ``on_saveable`` is called when a checkpoint or the first frame is kept, between two operations, ``on_poison``
     when the session cannot go on, with what may be told.
     """
 
@@ -84,7 +84,7 @@ class Session:
         options: Options,
         lane: LaneState,
         *,
-        on_safe: Callable[[Session], None],
+        on_saveable: Callable[[Session], None],
         on_poison: Callable[[Session, str], None],
         ordinal: int,
         created: float,
@@ -108,9 +108,9 @@ class Session:
         self.lost_after: int | None = None
         self.saved_to = -1
         self.trajectory = Trajectory(max_trajectory_bytes)
-        self.messages = Bucket(max_messages_per_s, time.monotonic())
+        self.messages = TokenBucket(max_messages_per_s, time.monotonic())
         self.lane = lane
-        self._on_safe, self._on_poison = on_safe, on_poison
+        self._on_saveable, self._on_poison = on_saveable, on_poison
         self._turn = asyncio.Lock()
         self._tasks: set[asyncio.Task[None]] = set()
         self._clock = clock
@@ -155,7 +155,7 @@ class Session:
             state = await self._call("create", {"options": options, "boxes": boxes}, data, changes=True)
             self._take(state)
             self.trajectory.append(Entry(0, None, self.size, self.region, self.rows))
-            self._on_safe(self)
+            self._on_saveable(self)
 
     async def resume(self, data: bytes) -> dict[str, Any]:
         """Start from what :meth:`snapshot` gave; what the front put into it."""
@@ -235,10 +235,10 @@ class Session:
 
     async def park(self) -> None:
         """Finish what is in work and keep the state as it is then. Raises as every operation."""
-        if self._restoring and not self.lane.journal.since:
+        if self._restoring and not self.lane.replay_log.operations:
             return  # nothing has happened since the state was kept, and a lane may be long in coming
         async with self._turn:
-            if self.lane.journal.since and not self.ended:
+            if self.lane.replay_log.operations and not self.ended:
                 await self._guarded(self.lane.checkpoint("stop"))
 
     async def settled(self) -> None:
@@ -246,7 +246,7 @@ class Session:
         async with self._turn:
             pass
 
-    def told_targets(self) -> list[dict[str, Any]]:
+    def target_maps(self) -> list[dict[str, Any]]:
         """The targets as the newest frame left them."""
         return wiring.targets(self.rows)
 
@@ -267,13 +267,13 @@ class Session:
         # After the frame was answered, and between two.
         with suppress(ProblemError):
             async with self._turn:
-                if not self.ended and (reason := self.lane.due):
+                if not self.ended and (reason := self.lane.checkpoint_due):
                     await self._keep(reason)
 
     async def _revive(self) -> None:
         try:
             async with self._turn:
-                if not self.ended and not self.lane.held:
+                if not self.ended and not self.lane.has_lane:
                     self._restoring = True
                     await self._guarded(self.lane.recover())
         except ProblemError as refused:
@@ -285,7 +285,7 @@ class Session:
     async def _move(self, lane: int) -> None:
         try:
             async with self._turn:
-                if not self.ended and self.lane.held:
+                if not self.ended and self.lane.has_lane:
                     await self._keep("move")
                     await self._guarded(self.lane.move(lane))
         except ProblemError as refused:
@@ -293,7 +293,7 @@ class Session:
 
     async def _keep(self, reason: str) -> None:
         await self._guarded(self.lane.checkpoint(reason))
-        self._on_safe(self)
+        self._on_saveable(self)
 
     async def _call(self, op: str, args: Mapping[str, Any], data: bytes = b"", *, changes: bool = False) -> Any:
         if self.ended:
@@ -302,7 +302,7 @@ class Session:
             code, value = await self._guarded(self.lane.call(Operation(op, args, data), changes=changes))
         finally:
             self.touch()
-        if changes and self.lane.due and not self._tasks:
+        if changes and self.lane.checkpoint_due and not self._tasks:
             self._later(self._checkpoint())
         if code == "internal":
             log.error("fault in a lane", session=self.id, op=op, fault=value[0])
@@ -318,7 +318,7 @@ class Session:
             raise session_gone(self.ended or "lost") from lost
         except Poisoned as poisoned:
             log.error("session is poisoned", session=self.id, fault=str(poisoned))
-            if self.lane.journal.base is not None:
+            if self.lane.replay_log.checkpoint is not None:
                 self._on_poison(self, str(poisoned))
                 raise session_gone("lost", str(poisoned)) from poisoned
             # It has not begun.

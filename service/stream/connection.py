@@ -19,7 +19,7 @@ from ..protocol.documents import Unreadable
 from ..protocol.enums import CloseCode, ProblemCode
 from ..protocol.problems import ProblemError
 from ..protocol.requests import Control
-from ..sessions.meter import Meter
+from ..sessions.rate_limiter import RateLimiter
 from ..sessions.session import Frame, Session
 from ..settings import Settings
 from .frame_queue import FrameQueue
@@ -69,7 +69,7 @@ class StreamConnection:
         codec: Codec,
         queue: FrameQueue,
         settings: Settings,
-        meter: Meter,
+        rate_limiter: RateLimiter,
         metrics: Metrics,
         receive: Callable[[], Awaitable[Event]],
         send: Callable[[Event], Awaitable[None]],
@@ -85,7 +85,7 @@ class StreamConnection:
         self._max_frame_bytes = settings.max_frame_bytes
         self._sender = Sender(codec, send, settings.send_timeout_s)
         self._replies = Replies(session, metrics, request_id)
-        self._limits = MessageLimits(session, meter, settings.max_refused_messages, self._end_for_rate)
+        self._limits = MessageLimits(session, rate_limiter, settings.max_refused_messages, self._end_for_rate)
         self._pump = Pump(session, queue, self._sender, self._replies, metrics, span, self._end_if_finished)
         self._pump_task: asyncio.Task[None] | None = None
         self._finishing: tuple[int, str] | None = None

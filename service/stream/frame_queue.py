@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from ..protocol.enums import Mode, ProblemCode
 from ..protocol.problems import ProblemError
 from ..protocol.requests import Control
-from ..sessions.room import Share
+from ..sessions.byte_budget import Reservation
 from ..sessions.session import Frame
 
 MAX_WAITING_CONTROLS = 64
@@ -37,7 +37,7 @@ class FrameQueue:
         Holds the bytes of frames from here until they are answered.
     """
 
-    def __init__(self, mode: Mode, credit: int, on_superseded: Callable[[], None], share: Share) -> None:
+    def __init__(self, mode: Mode, credit: int, on_superseded: Callable[[], None], share: Reservation) -> None:
         self.mode = mode
         self.dropped = 0
         self._on_superseded = on_superseded
@@ -68,17 +68,17 @@ class FrameQueue:
             if self._unanswered >= self._credit:
                 detail = f"at most {self._credit} unanswered frames"
                 raise ProblemError(ProblemCode.OVER_CREDIT, detail, retry_after_s=0.1)
-            self._share.take(len(frame.data))
+            self._share.grow(len(frame.data))
             self._unanswered += 1
         else:
             stale = next((job for job in self._jobs if job.frame is not None and not job.controls), None)
             if stale is not None and stale.frame is not None:
-                self._share.take(len(frame.data) - len(stale.frame.data))
+                self._share.grow(len(frame.data) - len(stale.frame.data))
                 self._jobs.remove(stale)
                 self.dropped += 1
                 self._on_superseded()
             else:
-                self._share.take(len(frame.data))
+                self._share.grow(len(frame.data))
         self._jobs.append(Job(frame, controls))
         self._wake.set()
 
@@ -104,7 +104,7 @@ class FrameQueue:
         """Release what ``job`` held, as the client is about to have its answer."""
         self._controls -= len(job.controls)
         if job.frame is not None:
-            self._share.give(len(job.frame.data))
+            self._share.shrink(len(job.frame.data))
             if self.mode == Mode.LOSSLESS:
                 self._unanswered -= 1
 
@@ -119,11 +119,11 @@ class FrameQueue:
 
     def discard(self) -> None:
         """Forget all that waits."""
-        self._share.give(sum(len(job.frame.data) for job in self._jobs if job.frame is not None))
+        self._share.shrink(sum(len(job.frame.data) for job in self._jobs if job.frame is not None))
         self._jobs.clear()
         self._for_next.clear()
 
     def close(self) -> None:
         """Forget all that waits, and release what is still held: nothing comes or is answered any more."""
         self.discard()
-        self._share.hold(0)
+        self._share.resize(0)

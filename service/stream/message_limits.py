@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from ..protocol.enums import ProblemCode
 from ..protocol.problems import ProblemError
-from ..sessions.meter import Meter
+from ..sessions.rate_limiter import RateLimiter
 from ..sessions.session import Session
 
 MAX_DEBT_S = 1.0
@@ -28,8 +28,10 @@ class MessageLimits:
         Called, perhaps more than once, when the stream is to end.
     """
 
-    def __init__(self, session: Session, meter: Meter, max_refused: int, on_exceeded: Callable[[], None]) -> None:
-        self._bucket, self._owner, self._meter = session.messages, session.owner, meter
+    def __init__(
+        self, session: Session, rate_limiter: RateLimiter, max_refused: int, on_exceeded: Callable[[], None]
+    ) -> None:
+        self._bucket, self._owner, self._rate_limiter = session.messages, session.owner, rate_limiter
         self._max_refused, self._on_exceeded = max_refused, on_exceeded
         self._refused_in_a_row = 0
 
@@ -40,7 +42,7 @@ class MessageLimits:
                 detail = "too many messages"
                 raise ProblemError(ProblemCode.RATE_LIMITED, detail, retry_after_s=round(wait_s, 3))
             if frame_bytes is not None:
-                self._meter.frame(self._owner, frame_bytes)
+                self._rate_limiter.count_frame(self._owner, frame_bytes)
         except ProblemError:
             self._refused_in_a_row += 1
             if self._refused_in_a_row > self._max_refused:
@@ -56,5 +58,5 @@ class MessageLimits:
 
     def count_useless(self) -> None:
         """Count a message that was refused for what it says, against the rate of the key and all its streams."""
-        if self._meter.refusal(self._owner):
+        if self._rate_limiter.refusal_delay_s(self._owner):
             self._on_exceeded()

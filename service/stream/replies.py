@@ -27,7 +27,7 @@ class Replies:
     def targets(self, control: Control) -> dict[str, Any]:
         """Return the answer to a control that was done."""
         session = self._session
-        return message(Targets, ref=control.ref, region=session.region, targets=session.told_targets())
+        return message(Targets, ref=control.ref, region=session.region, targets=session.target_maps())
 
     def error(self, problem: ProblemError, *, seq: int | None = None, ref: Echo | None = None) -> dict[str, Any]:
         """Return the refusal of one message: of the frame ``seq``, or of the message with ``ref``."""

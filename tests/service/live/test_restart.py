@@ -23,7 +23,7 @@ from service.client import AsyncClient, ConnectionLost, Frame, Problem, Result, 
 from service.load.clips import Clip
 from service.load.own import OwnServer, ServerFailed
 from service.load.usage import server_processes
-from tests.service.unit.test_vault import Before, as_before, remains
+from tests.service.unit.test_sqlite_store import Before, as_before, remains
 
 from .conftest import Serve, watch
 from .test_main_job import assert_same, in_process

@@ -21,7 +21,7 @@ from service.sessions.session import Options
 from service.settings import Settings
 
 from .routes import dependencies, routes
-from .test_book import Lanes
+from .test_registry import Lanes
 
 ROUNDS, CALLS = 20, 300
 
@@ -53,7 +53,7 @@ async def measure() -> tuple[float, float]:
     """The median GET as it is, and with its dependencies in threads."""
     app = create_app(Settings(max_requests_per_s=1e8), lanes=Lanes(1))
     options = Options("default", "reject", None, False, 300.0)
-    session = await app.state.service.book.create("anyone", b"frame", [[1, 2, 3, 4]], options, None)
+    session = await app.state.service.registry.create("anyone", b"frame", [[1, 2, 3, 4]], options, None)
     path = f"/v1/sessions/{session.id}"
     shipped, threaded = [], []
     for _ in range(ROUNDS):

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from service.lanes.balance import FULL, IDLE, KEY_RESTS_S, LANES_REST_S, Lately, Mover
+from service.lanes.balance import FULL, IDLE, KEY_RESTS_S, LANES_REST_S, Rebalancer, RecentUsage
+from service.lanes.framing import TOOK, Splitter, encode_call, encode_reply, framed
 from service.lanes.interface import LaneCrowded
 from service.lanes.pool import LanePool
 from service.lanes.process import PIPELINE, SHORT_BYTES, SHORT_S, LaneProcess
-from service.lanes.wire import TOOK, Splitter, encode_call, encode_reply, framed
 
 
 def pool_of(lanes: int, places: int = 4) -> LanePool:
@@ -23,33 +23,33 @@ def pool_of(lanes: int, places: int = 4) -> LanePool:
 
 
 def test_lately_is_the_part_of_the_last_seconds() -> None:
-    lately = Lately(0.0)
+    usage = RecentUsage(0.0)
     for second in range(1, 31):
-        lately.add("busy", 0.9)
-        lately.add("calm", 0.1)
-        lately.look(float(second))
-    assert lately.part("busy") == pytest.approx(0.9, abs=0.01)
-    assert lately.part("calm") == pytest.approx(0.1, abs=0.01)
-    lately.add("late", 4.0)  # one operation, told at its end
+        usage.add("busy", 0.9)
+        usage.add("calm", 0.1)
+        usage.update(float(second))
+    assert usage.part("busy") == pytest.approx(0.9, abs=0.01)
+    assert usage.part("calm") == pytest.approx(0.1, abs=0.01)
+    usage.add("late", 4.0)  # one operation, told at its end
     for second in range(31, 35):
-        lately.look(float(second))
-        assert lately.part("late") <= 1.0
-    assert lately.part("late") > 0.7
-    assert lately.part("busy") < 0.3
-    lately.forget("late")
+        usage.update(float(second))
+        assert usage.part("late") <= 1.0
+    assert usage.part("late") > 0.7
+    assert usage.part("busy") < 0.3
+    usage.forget("late")
     for second in range(35, 80):
-        lately.look(float(second))
-    assert not dict(lately.parts())
+        usage.update(float(second))
+    assert not dict(usage.parts())
 
 
 def test_a_key_moves_from_a_full_lane_to_an_idle_one() -> None:
-    assert Mover().choose([{"a": 0.5, "b": 0.45}, {"c": 0.1}], [0, 1], 0.0) in (("a", 1), ("b", 1))
+    assert Rebalancer().choose([{"a": 0.5, "b": 0.45}, {"c": 0.1}], [0, 1], 0.0) in (("a", 1), ("b", 1))
     # The one that evens the two out, and never into what would be as full.
-    assert Mover().choose([{"a": 0.6, "b": 0.3, "c": 0.05}, {}], [0, 1], 0.0) == ("a", 1)
-    assert Mover().choose([{"hog": 0.95, "calm": 0.04}, {"x": 0.3}], [0, 1], 0.0) == ("calm", 1)
+    assert Rebalancer().choose([{"a": 0.6, "b": 0.3, "c": 0.05}, {}], [0, 1], 0.0) == ("a", 1)
+    assert Rebalancer().choose([{"hog": 0.95, "calm": 0.04}, {"x": 0.3}], [0, 1], 0.0) == ("calm", 1)
     # The idlest of those with room.
-    assert Mover().choose([{"x": 0.3}, {"a": 0.5, "b": 0.5}, {"y": 0.1}], [0, 1, 2], 0.0) in (("a", 2), ("b", 2))
-    assert Mover().choose([{"x": 0.3}, {"a": 0.5, "b": 0.5}, {"y": 0.1}], [0, 1], 0.0) in (("a", 0), ("b", 0))
+    assert Rebalancer().choose([{"x": 0.3}, {"a": 0.5, "b": 0.5}, {"y": 0.1}], [0, 1, 2], 0.0) in (("a", 2), ("b", 2))
+    assert Rebalancer().choose([{"x": 0.3}, {"a": 0.5, "b": 0.5}, {"y": 0.1}], [0, 1], 0.0) in (("a", 0), ("b", 0))
 
 
 @pytest.mark.parametrize(
@@ -64,19 +64,19 @@ def test_a_key_moves_from_a_full_lane_to_an_idle_one() -> None:
     ],
 )
 def test_nothing_moves_where_nothing_is_gained(parts: list[dict[str, float]], room: list[int]) -> None:
-    assert Mover().choose(parts, room, 0.0) is None
+    assert Rebalancer().choose(parts, room, 0.0) is None
 
 
 def test_nothing_goes_back_and_forth() -> None:
     """Whatever a session does, it stays for a while where it came to, and lanes settle between two moves."""
-    mover = Mover()
-    assert mover.choose([{"a": 0.7, "b": 0.3}, {}], [0, 1], 0.0) == ("b", 1)
+    rebalancer = Rebalancer()
+    assert rebalancer.choose([{"a": 0.7, "b": 0.3}, {}], [0, 1], 0.0) == ("b", 1)
     busy = [{"c": 0.3}, {"b": 0.5, "d": 0.5}]
-    assert mover.choose(busy, [0, 1], LANES_REST_S / 2) is None
-    assert mover.choose([*busy, {"e": 0.4, "f": 0.6}, {}], [0, 1, 2, 3], LANES_REST_S / 2) == ("e", 3)
-    assert mover.choose(busy, [0, 1], LANES_REST_S) == ("d", 0)
-    assert mover.choose([{}, {"b": 0.6, "d": 0.4}], [0, 1], KEY_RESTS_S - 1) is None
-    assert mover.choose([{}, {"b": 0.6, "d": 0.4}], [0, 1], KEY_RESTS_S) == ("b", 0)
+    assert rebalancer.choose(busy, [0, 1], LANES_REST_S / 2) is None
+    assert rebalancer.choose([*busy, {"e": 0.4, "f": 0.6}, {}], [0, 1, 2, 3], LANES_REST_S / 2) == ("e", 3)
+    assert rebalancer.choose(busy, [0, 1], LANES_REST_S) == ("d", 0)
+    assert rebalancer.choose([{}, {"b": 0.6, "d": 0.4}], [0, 1], KEY_RESTS_S - 1) is None
+    assert rebalancer.choose([{}, {"b": 0.6, "d": 0.4}], [0, 1], KEY_RESTS_S) == ("b", 0)
 
 
 async def test_a_place_is_given_where_there_is_time() -> None:
@@ -85,10 +85,10 @@ async def test_a_place_is_given_where_there_is_time() -> None:
     for key in "abcd":
         pool.reserve(key, "me")
     assert [sorted(lane.keys) for lane in pool._lanes] == [["a", "c"], ["b", "d"]]
-    start = pool._lately._since
-    pool._lately.add("a", 8.0)
-    pool._lately.add("gone", 8.0)
-    pool._lately.look(start + 8.0)
+    start = pool._usage._since
+    pool._usage.add("a", 8.0)
+    pool._usage.add("gone", 8.0)
+    pool._usage.update(start + 8.0)
     for key in "efgh":
         pool.reserve(key, "me")
     assert [sorted(lane.keys) for lane in pool._lanes] == [["a", "c"], ["b", "d", "e", "f", "g", "h"]]
@@ -118,8 +118,8 @@ async def test_the_pool_says_who_is_crowded(monkeypatch: pytest.MonkeyPatch) -> 
     for key in "abc":
         pool.reserve(key, "me")
     for key in "ac":
-        pool._lately._parts[key] = 0.5
-    pool._lately._since += 3600  # so that what was used lately stays as it is
+        pool._usage._parts[key] = 0.5
+    pool._usage._since += 3600  # so that what was used usage stays as it is
     watching = asyncio.create_task(pool._balance())
     event = await anext(pool.events())
     assert isinstance(event, LaneCrowded)

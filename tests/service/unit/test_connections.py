@@ -12,7 +12,7 @@ from uvicorn.server import ServerState
 
 from service import turns
 from service.connections import protocols
-from service.sessions.room import Room
+from service.sessions.byte_budget import ByteBudget
 from service.settings import Settings
 
 
@@ -26,7 +26,7 @@ async def _echo(scope: Any, receive: Any, send: Any) -> None:
 async def test_a_stream_whose_handshake_waited_for_its_turn_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
     waits = iter([True])
     monkeypatch.setattr(turns, "must_wait", lambda *_: next(waits, False))
-    calls, frames = protocols(Settings(), Room(1 << 20))
+    calls, frames = protocols(Settings(), ByteBudget(1 << 20))
     config = Config(_echo, http=calls, ws=frames, lifespan="off")
     config.load()
     loop, state = asyncio.get_running_loop(), ServerState()

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from mfcmt_core.images import FrameLimits
 from service.lanes.contents import FIELDS, pack
-from service.lanes.store import Store
-from service.lanes.view import Refused
+from service.lanes.frame_view import Refused
+from service.lanes.operations import LaneOperations
 
 LIMITS = {"max_bytes": 1 << 20, "max_pixels": 1 << 20, "max_side": 4096, "max_scans": 16}
 CONFIG = {"frame_limits": LIMITS, "max_targets": 4, "region_lag": 1}
@@ -29,12 +29,12 @@ def picture(size: tuple[int, int] = (96, 72)) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def store() -> Store:
-    return Store(CONFIG)
+def store() -> LaneOperations:
+    return LaneOperations(CONFIG)
 
 
 @pytest.fixture(scope="module")
-def sound(store: Store) -> dict[str, Any]:
+def sound(store: LaneOperations) -> dict[str, Any]:
     """The contents of a real snapshot, of two targets."""
     options = {"preset": "default", "on_resize": "reject", "maps": False}
     store.handle("create", "s", {"options": options, "boxes": [[30, 20, 24, 24], [50, 30, 20, 30]]}, picture())
@@ -44,7 +44,7 @@ def sound(store: Store) -> dict[str, Any]:
     return contents
 
 
-def restored(store: Store, data: bytes) -> bool:
+def restored(store: LaneOperations, data: bytes) -> bool:
     """Whether the lane takes it; if it does, the session works. It refuses in no other way."""
     try:
         state = store.handle("restore", "r", {}, data)
@@ -56,14 +56,14 @@ def restored(store: Store, data: bytes) -> bool:
     return False
 
 
-def _works(store: Store, state: dict[str, Any]) -> bool:
+def _works(store: LaneOperations, state: dict[str, Any]) -> bool:
     store.handle("track", "r", {"seq": state["seq"] + 1}, picture(tuple(state["size"])))
     store.handle("snapshot", "r", {"front": FRONT}, b"")
     store.handle("drop", "r", {}, b"")
     return True
 
 
-def test_a_sound_one_is_taken(store: Store, sound: dict[str, Any]) -> None:
+def test_a_sound_one_is_taken(store: LaneOperations, sound: dict[str, Any]) -> None:
     assert restored(store, pack(sound))
 
 
@@ -94,11 +94,11 @@ def test_a_sound_one_is_taken(store: Store, sound: dict[str, Any]) -> None:
         {"more": 1},
     ],
 )
-def test_a_field_that_is_wrong_is_refused(store: Store, sound: dict[str, Any], change: dict[str, Any]) -> None:
+def test_a_field_that_is_wrong_is_refused(store: LaneOperations, sound: dict[str, Any], change: dict[str, Any]) -> None:
     assert not restored(store, pack(sound | change))
 
 
-def test_targets_are_counted_and_told_apart(store: Store, sound: dict[str, Any]) -> None:
+def test_targets_are_counted_and_told_apart(store: LaneOperations, sound: dict[str, Any]) -> None:
     first, second = sound["targets"]
     assert restored(store, pack(sound | {"targets": [first]}))
     assert not restored(store, pack(sound | {"targets": [first, first]}))
@@ -111,7 +111,7 @@ def test_targets_are_counted_and_told_apart(store: Store, sound: dict[str, Any])
 @pytest.mark.parametrize(
     "data", [b"", b"\xc1", b"\x80", b"\xdf\xff\xff\xff\xff", b"\x91" * 100_000, msgpack.packb(None)]
 )
-def test_what_is_no_map_of_ours(store: Store, data: bytes) -> None:
+def test_what_is_no_map_of_ours(store: LaneOperations, data: bytes) -> None:
     assert not restored(store, data)
 
 
@@ -138,7 +138,7 @@ def paths(value: Any, here: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
 
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_fuzz_a_value_inside(store: Store, sound: dict[str, Any], data: st.DataObject) -> None:
+def test_fuzz_a_value_inside(store: LaneOperations, sound: dict[str, Any], data: st.DataObject) -> None:
     """Any value, anywhere in the contents or in a tracker of them."""
     contents: dict[str, Any] = msgpack.unpackb(pack(sound))
     inside_tracker = data.draw(st.booleans())
@@ -153,7 +153,7 @@ def test_fuzz_a_value_inside(store: Store, sound: dict[str, Any], data: st.DataO
     restored(store, pack(contents))
 
 
-def test_fuzz_bytes(store: Store, sound: dict[str, Any]) -> None:
+def test_fuzz_bytes(store: LaneOperations, sound: dict[str, Any]) -> None:
     """Damage as a disk or a wire would do it, without a signature to tell."""
     packed, chance = pack(sound), random.Random(5)
     for _ in range(150):

@@ -13,11 +13,11 @@ import pytest
 from starlette.testclient import TestClient
 
 from service.app import create_app
+from service.lanes.framing import encode_reply
 from service.lanes.interface import Buffers
-from service.lanes.wire import encode_reply
 from service.settings import Settings
 
-from .test_book import Lanes
+from .test_registry import Lanes
 
 SECRET = "Traceback (most recent call last): secret"
 JPEG = b"\xff\xd8\xff\xe0" + bytes(40)

@@ -10,16 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.lanes.cores import lanes_for, usable_cores
-from service.lanes.fair import FairQueue, FairTurns
-from service.lanes.wire import Disorder, Splitter, decode_call, encode_call, framed
+from service.lanes.fair_queue import FairOwnerQueue, FairQueue
+from service.lanes.framing import FramingError, Splitter, decode_call, encode_call, framed
 from service.protocol.enums import Mode
 from service.protocol.problems import ProblemError
 from service.protocol.requests import Remove
-from service.sessions.bucket import Bucket
-from service.sessions.memory import Memory
-from service.sessions.room import Room, Share
+from service.sessions.byte_budget import ByteBudget, Reservation
+from service.sessions.rate_limiter import TokenBucket
 from service.sessions.session import Frame
 from service.sessions.trajectory import Entry, Trajectory, unpacked
+from service.sessions.ttl_cache import TTLCache
 from service.stream.frame_queue import FrameQueue
 
 ROW = [0, [1.0, 2.0, 3.0, 4.0], "tracking", True, None, None, 12.5, True, 1.0]
@@ -69,7 +69,7 @@ def test_a_forgotten_key_leaves_what_waited() -> None:
 
 
 def test_owners_share_a_lane_whatever_the_number_of_their_sessions() -> None:
-    turns: FairTurns[tuple[str, str]] = FairTurns()
+    turns: FairOwnerQueue[tuple[str, str]] = FairOwnerQueue()
     keys = [("many", f"m{n}") for n in range(5)] + [("one", "o")]
     for owner, key in keys * 40:
         turns.push(owner, key, (owner, key))
@@ -84,7 +84,7 @@ def test_owners_share_a_lane_whatever_the_number_of_their_sessions() -> None:
 
 
 def test_an_owner_is_forgotten_with_its_last_session() -> None:
-    turns: FairTurns[str] = FairTurns()
+    turns: FairOwnerQueue[str] = FairOwnerQueue()
     turns.push("a", "first", "1")
     turns.push("a", "second", "2")
     turns.push("b", "third", "3")
@@ -104,7 +104,7 @@ def frame(seq: int) -> Frame:
 
 
 def queue_of(mode: Mode, credit: int = 2) -> FrameQueue:
-    return FrameQueue(mode, credit, lambda: None, Share(Room(1 << 20)))
+    return FrameQueue(mode, credit, lambda: None, Reservation(ByteBudget(1 << 20)))
 
 
 CONTROL = Remove(target=0)
@@ -160,7 +160,7 @@ async def test_whoever_waits_is_woken() -> None:
 
 
 def test_a_bucket_lets_a_burst_through_and_then_the_rate() -> None:
-    bucket = Bucket(10, now=0.0)
+    bucket = TokenBucket(10, now=0.0)
     assert [bucket.take(0.0) for _ in range(10)] == [0.0] * 10
     assert bucket.take(0.0) == pytest.approx(0.1)
     assert bucket.take(0.1) == 0.0
@@ -170,37 +170,37 @@ def test_a_bucket_lets_a_burst_through_and_then_the_rate() -> None:
 
 def test_memories_fade_and_are_bounded() -> None:
     now = 0.0
-    memory: Memory[str] = Memory(2, 10, lambda: now)
-    memory.put("me", "a", "A")
-    memory.put("me", "b", "B", seconds=1)
+    cache: TTLCache[str] = TTLCache(2, 10, lambda: now)
+    cache.put("me", "a", "A")
+    cache.put("me", "b", "B", ttl_s=1)
     now = 5.0
-    assert (memory.get("a"), memory.get("b")) == ("A", None)
-    memory.put("me", "c", "C")
-    memory.put("me", "d", "D")
-    assert (memory.get("a"), len(memory)) == (None, 2)
-    assert memory.pop("c") == "C"
-    assert memory.pop("c") is None
+    assert (cache.get("a"), cache.get("b")) == ("A", None)
+    cache.put("me", "c", "C")
+    cache.put("me", "d", "D")
+    assert (cache.get("a"), len(cache)) == (None, 2)
+    assert cache.pop("c") == "C"
+    assert cache.pop("c") is None
     now = 20.0
-    memory.sweep()
-    assert len(memory) == 0
+    cache.sweep()
+    assert len(cache) == 0
 
 
 @given(st.lists(st.tuples(st.sampled_from("abc"), st.integers(0, 9), st.sampled_from((None, 1.0, 7.0))), max_size=60))
 def test_nobody_pushes_out_what_is_remembered_of_another(puts: list[tuple[str, int, float | None]]) -> None:
     now, most = 0.0, 3
-    memory: Memory[int] = Memory(most, 5.0, lambda: now)
-    alone: dict[str, Memory[int]] = {owner: Memory(most, 5.0, lambda: now) for owner in "abc"}
+    cache: TTLCache[int] = TTLCache(most, 5.0, lambda: now)
+    alone: dict[str, TTLCache[int]] = {owner: TTLCache(most, 5.0, lambda: now) for owner in "abc"}
     for owner, number, seconds in puts:
         now += 1
-        for one in (memory, alone[owner]):
+        for one in (cache, alone[owner]):
             one.put(owner, f"{owner}{number}", number, seconds)
         for other, own in alone.items():
             keys = [f"{other}{n}" for n in range(10)]
-            assert [memory.get(key) for key in keys] == [own.get(key) for key in keys]
-            assert sum(memory.get(key) is not None for key in keys) <= most
+            assert [cache.get(key) for key in keys] == [own.get(key) for key in keys]
+            assert sum(cache.get(key) is not None for key in keys) <= most
     now += 100
-    memory.sweep()
-    assert len(memory) == len(memory._owned) == 0
+    cache.sweep()
+    assert len(cache) == len(cache._keys) == 0
 
 
 def test_the_past_is_bounded_by_bytes() -> None:
@@ -228,7 +228,7 @@ def test_messages_survive_any_cutting(messages: list[tuple[int, bytes]], data: s
 
 
 def test_a_monstrous_length_is_refused() -> None:
-    with pytest.raises(Disorder):
+    with pytest.raises(FramingError):
         list(Splitter().feed(b"\xff" * 8))
 
 

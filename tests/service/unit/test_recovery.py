@@ -1,4 +1,4 @@
-"""Journals and their bounds, the vault and its disk, with lanes that only answer."""
+"""Journals and their bounds, the database and its disk, with lanes that only answer."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from typing import Any
 import pytest
 from prometheus_client import generate_latest
 
+from service.lanes.framing import Splitter, decode_call, decode_reply, encode_reply, framed
 from service.lanes.interface import AtCapacity, Buffers, LaneCrowded, LaneLost, Place
 from service.lanes.pool import LanePool
 from service.lanes.process import LaneProcess
-from service.lanes.wire import Splitter, decode_call, decode_reply, encode_reply, framed
 from service.observability.metrics import Metrics
 from service.problems import ProblemError
-from service.sessions.book import SessionBook
-from service.sessions.journal import Budget, Journal, Operation
+from service.sessions.registry import SessionRegistry
+from service.sessions.replay_log import Operation, RecoveryBudget, ReplayLog
 from service.sessions.session import Frame, Session
-from service.sessions.vault import FILE, BadState, Saved, Vault
+from service.sessions.sqlite_store import FILE, SavedSession, SqliteStore, StateDirError
 from service.settings import Settings
 
-from .test_book import Lanes, World
+from .test_registry import Lanes, World
 
 KIB = 1024
 
@@ -55,7 +55,7 @@ def text(metrics: Metrics) -> bytes:
 
 
 class Keeping(World):
-    """A book over lanes that note operations."""
+    """A registry over lanes that note operations."""
 
     lanes: Recording
 
@@ -63,7 +63,7 @@ class Keeping(World):
         super().__init__(places, **settings)
         self.lanes = Recording(places)
         self.metrics = Metrics()
-        self.book = SessionBook(self.settings, self.lanes, self.metrics, lambda: self.now)
+        self.registry = SessionRegistry(self.settings, self.lanes, self.metrics, lambda: self.now)
 
     async def track(self, session: Session, size: int = KIB) -> int:
         result, _, _ = await session.track(Frame(b"f" * size, session.number(None), None, None, 0.0, 0.0))
@@ -81,7 +81,7 @@ async def test_a_checkpoint_comes_every_so_many_frames_and_only_then() -> None:
     gaps = {later - earlier - 1 for earlier, later in itertools.pairwise(at)}
     assert 1 <= at[0] - 1 <= 10
     assert gaps == {10}
-    assert len(session.lane.journal.since) < 10
+    assert len(session.lane.replay_log.operations) < 10
     before = len(world.lanes.ops)
     await session.park()
     await session.park()
@@ -91,7 +91,7 @@ async def test_a_checkpoint_comes_every_so_many_frames_and_only_then() -> None:
 async def test_what_is_lost_is_made_again_in_order() -> None:
     world = Keeping(checkpoint_every_frames=100)
     session = await world.create()
-    session.lane._due_frames = 100
+    session.lane._frames_until_checkpoint = 100
     for _ in range(3):
         await world.track(session)
     await session.control({"type": "add", "box": [1, 2, 3, 4]})
@@ -116,13 +116,13 @@ async def test_what_is_lost_is_made_again_in_order() -> None:
 async def test_the_bound_of_a_session_is_kept_by_an_earlier_checkpoint() -> None:
     world = Keeping(max_replay_bytes=64 * KIB, checkpoint_every_frames=10_000)
     session = await world.create()
-    session.lane._due_frames = 10_000
+    session.lane._frames_until_checkpoint = 10_000
     for _ in range(50):
         await world.track(session, 10 * KIB)
-        assert session.lane.journal.bytes <= 64 * KIB
+        assert session.lane.replay_log.bytes <= 64 * KIB
     await world.track(session, 200 * KIB)  # larger than the bound: alone
     await world.track(session, 10 * KIB)
-    assert session.lane.journal.bytes <= 64 * KIB
+    assert session.lane.replay_log.bytes <= 64 * KIB
     assert b'reason="bytes"' in text(world.metrics)
 
 
@@ -130,8 +130,8 @@ async def test_at_the_bound_of_all_nothing_is_lost_and_nobody_is_let_in() -> Non
     world = Keeping(places=9, max_recovery_bytes=1024 * KIB, checkpoint_every_frames=10_000)
     sessions = [await world.create() for _ in range(3)]
     for session in sessions:
-        session.lane._due_frames = 10_000
-    budget = world.book.keeper.budget
+        session.lane._frames_until_checkpoint = 10_000
+    budget = world.registry.store.budget
     for _ in range(60):
         for session in sessions:
             await world.track(session, 30 * KIB)
@@ -141,7 +141,7 @@ async def test_at_the_bound_of_all_nothing_is_lost_and_nobody_is_let_in() -> Non
     with pytest.raises(ProblemError, match="at-capacity"):
         await world.create()
     for session in sessions:
-        world.book.close("me", session.id)
+        world.registry.close("me", session.id)
     assert (budget.checkpoints, budget.frames) == (0, 0)
 
 
@@ -165,8 +165,8 @@ async def test_the_same_frame_twice_is_poison_other_deaths_are_not() -> None:
     with pytest.raises(ProblemError, match="frame 3 ended its worker twice"):
         await world.track(session)
     with pytest.raises(ProblemError, match="frame 3 ended its worker twice"):
-        world.book.find("me", session.id)
-    assert world.book.find("me", other.id) is other
+        world.registry.find("me", session.id)
+    assert world.registry.find("me", other.id) is other
 
 
 class Two(Recording):
@@ -191,10 +191,10 @@ class Two(Recording):
 async def test_a_session_moves_from_a_checkpoint_between_two_frames() -> None:
     """What waits comes after it; a lane that dies meanwhile is made up for as ever."""
     world = Keeping(checkpoint_every_frames=100)
-    world.lanes = world.book._lanes = world.book.keeper._lanes = Two(2)
+    world.lanes = world.registry._lanes = world.registry.store._lanes = Two(2)
     session = await world.create()
-    session.lane._due_frames = 100
-    follower = asyncio.create_task(world.book.follow_lanes())
+    session.lane._frames_until_checkpoint = 100
+    follower = asyncio.create_task(world.registry.follow_lanes())
     await world.track(session)
     world.lanes.ops.clear()
     world.lanes.lost.put_nowait(LaneCrowded(session.id, 1))
@@ -223,7 +223,7 @@ async def test_a_session_moves_from_a_checkpoint_between_two_frames() -> None:
 async def test_an_operation_that_is_broken_off_has_not_happened() -> None:
     world = Keeping(checkpoint_every_frames=100)
     session = await world.create()
-    session.lane._due_frames = 100
+    session.lane._frames_until_checkpoint = 100
     await world.track(session)
     tracking = asyncio.create_task(world.track(session))
     await asyncio.sleep(0)
@@ -254,14 +254,14 @@ async def test_a_session_without_a_lane_refuses_in_time_and_stays() -> None:
 
 
 def test_a_closed_journal_keeps_nothing() -> None:
-    budget = Budget(10)
-    journal = Journal(budget)
-    journal.add(Operation("create", {}, b"first"))
-    journal.add(Operation("track", {"seq": 1}, b"second"))
+    budget = RecoveryBudget(10)
+    journal = ReplayLog(budget)
+    journal.append(Operation("create", {}, b"first"))
+    journal.append(Operation("track", {"seq": 1}, b"second"))
     assert budget.spent
     journal.close()
-    journal.add(Operation("track", {"seq": 2}, b"third"))
-    assert (budget.checkpoints, budget.frames, journal.base, journal.since) == (0, 0, None, [])
+    journal.append(Operation("track", {"seq": 2}, b"third"))
+    assert (budget.checkpoints, budget.frames, journal.checkpoint, journal.operations) == (0, 0, None, [])
 
 
 async def test_the_places_of_the_lost_are_kept() -> None:
@@ -322,67 +322,67 @@ def test_a_long_value_is_not_copied() -> None:
         assert again == []
 
 
-def saved(sid: str, seq: int, entries: list[int], first: int = 0, whole: bool = False) -> Saved:
+def saved(sid: str, seq: int, entries: list[int], first: int = 0, whole: bool = False) -> SavedSession:
     base = Operation("revive", {}, b"state of %d" % seq)
-    return Saved(sid, "me", {"seq": seq}, base, deque((n, b"entry") for n in entries), first, whole)
+    return SavedSession(sid, "me", {"seq": seq}, base, deque((n, b"entry") for n in entries), first, whole)
 
 
-def reopened(folder: Path) -> tuple[Vault, list[Saved]]:
-    vault = Vault(folder, Metrics())
-    vault.begin()
-    return vault, vault.take()[0]
+def reopened(folder: Path) -> tuple[SqliteStore, list[SavedSession]]:
+    database = SqliteStore(folder, Metrics())
+    database.take_over()
+    return database, database.load()[0]
 
 
 def test_the_newest_state_is_on_disk_with_the_whole_past(tmp_path: Path) -> None:
-    vault, found = reopened(tmp_path)
+    database, found = reopened(tmp_path)
     assert found == []
-    vault.save(saved("a", 2, [0, 1, 2]))
-    vault.save(saved("b", 1, [0, 1]))
-    vault.save(saved("a", 5, [2, 3, 4, 5], first=1, whole=True))
-    vault.forget("b")
-    assert vault.flush(10)
-    vault.close()
-    vault, (one,) = reopened(tmp_path)
+    database.save(saved("a", 2, [0, 1, 2]))
+    database.save(saved("b", 1, [0, 1]))
+    database.save(saved("a", 5, [2, 3, 4, 5], first=1, whole=True))
+    database.delete("b")
+    assert database.flush(10)
+    database.close()
+    database, (one,) = reopened(tmp_path)
     assert (one.id, one.owner, one.base.data, one.whole) == ("a", "me", b"state of 5", True)
     assert [seq for seq, _ in one.entries] == [1, 2, 3, 4, 5]
-    vault.close()
-    vault, (one,) = reopened(tmp_path)
+    database.close()
+    database, (one,) = reopened(tmp_path)
     assert not one.whole  # a process had it, and did not say that nothing happened
-    vault.close()
+    database.close()
 
 
 def test_a_disk_that_fails_for_a_while(tmp_path: Path) -> None:
     """What could not be written is written later, and counted."""
-    vault, _ = reopened(tmp_path)
-    assert vault._db is not None
-    vault._db.execute("PRAGMA max_page_count=1")
-    vault._db.execute("CREATE TEMP TRIGGER full BEFORE INSERT ON session BEGIN SELECT RAISE(FAIL, 'disk full'); END")
-    vault.save(saved("a", 1, [0, 1]))
+    database, _ = reopened(tmp_path)
+    assert database._db is not None
+    database._db.execute("PRAGMA max_page_count=1")
+    database._db.execute("CREATE TEMP TRIGGER full BEFORE INSERT ON session BEGIN SELECT RAISE(FAIL, 'disk full'); END")
+    database.save(saved("a", 1, [0, 1]))
     give_up = time.monotonic() + 10
-    while b"mfcmt_state_write_failures_total 1.0" not in text(vault._metrics) and time.monotonic() < give_up:
+    while b"mfcmt_state_write_failures_total 1.0" not in text(database._metrics) and time.monotonic() < give_up:
         time.sleep(0.01)
-    vault.save(saved("a", 2, [1, 2]))
-    vault._db.execute("DROP TRIGGER full")
-    assert vault.flush(20)
-    vault.close()
-    vault, (one,) = reopened(tmp_path)
+    database.save(saved("a", 2, [1, 2]))
+    database._db.execute("DROP TRIGGER full")
+    assert database.flush(20)
+    database.close()
+    database, (one,) = reopened(tmp_path)
     assert one.base.data == b"state of 2"
     assert [seq for seq, _ in one.entries] == [0, 1, 2]
-    vault.close()
+    database.close()
 
 
 def test_what_is_no_state_is_told(tmp_path: Path) -> None:
     (tmp_path / FILE).write_bytes(b"not a database" * 1000)
-    with pytest.raises(BadState, match="move it away"):
-        Vault(tmp_path, Metrics()).open()
+    with pytest.raises(StateDirError, match="move it away"):
+        SqliteStore(tmp_path, Metrics()).open()
     assert (tmp_path / FILE).read_bytes().startswith(b"not a database")
     (tmp_path / FILE).unlink()
     with sqlite3.connect(tmp_path / FILE) as db:
         db.execute("PRAGMA user_version = 7")
-    with pytest.raises(BadState, match="version 7"):
-        Vault(tmp_path, Metrics()).open()
-    with pytest.raises(BadState, match="able to write"):
-        Vault(tmp_path / FILE, Metrics()).open()
+    with pytest.raises(StateDirError, match="version 7"):
+        SqliteStore(tmp_path, Metrics()).open()
+    with pytest.raises(StateDirError, match="able to write"):
+        SqliteStore(tmp_path / FILE, Metrics()).open()
 
 
 def test_settings_of_recovery() -> None:

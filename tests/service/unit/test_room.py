@@ -18,9 +18,9 @@ from service.observability.sampled import LINES_A_SECOND, Sampled
 from service.protocol.documents import MAX_ITEMS_IN_ALL, MAX_TEXT_BYTES, Unreadable, from_json, from_msgpack, to_msgpack
 from service.protocol.enums import Mode
 from service.protocol.problems import ProblemError
-from service.sessions.few import Few
-from service.sessions.meter import MAX_LATE_S, Meter
-from service.sessions.room import STRANGER, Room, Share
+from service.sessions.byte_budget import ANONYMOUS, ByteBudget, Reservation
+from service.sessions.concurrency import ConcurrencyLimit
+from service.sessions.rate_limiter import MAX_DELAY_S, RateLimiter
 from service.sessions.session import Frame
 from service.sessions.trajectory import Entry
 from service.settings import Settings
@@ -38,47 +38,47 @@ class Clock:
 
 
 def test_one_owner_has_half_of_the_room_and_the_next_finds_some() -> None:
-    room = Room(120)
-    first, second, third = (Share(room, owner) for owner in ("a", "b", "c"))
-    assert not first.hold(61)
-    assert first.hold(60)
-    assert second.hold(30)
-    assert not second.hold(31)
-    assert third.hold(15)
+    room = ByteBudget(120)
+    first, second, third = (Reservation(room, owner) for owner in ("a", "b", "c"))
+    assert not first.resize(61)
+    assert first.resize(60)
+    assert second.resize(30)
+    assert not second.resize(31)
+    assert third.resize(15)
     with pytest.raises(ProblemError, match="at-capacity"):
-        first.take(1)
-    first.hold(0)
-    assert second.hold(50)
+        first.grow(1)
+    first.resize(0)
+    assert second.resize(50)
 
 
 def test_what_is_held_moves_with_its_owner() -> None:
-    room = Room(100)
-    share = Share(room)
-    assert share.hold(40)
-    share.belong("a")
-    assert Share(room, STRANGER).hold(30)
-    assert not Share(room, "a").hold(1)
-    share.hold(0)
+    room = ByteBudget(100)
+    share = Reservation(room)
+    assert share.resize(40)
+    share.assign("a")
+    assert Reservation(room, ANONYMOUS).resize(30)
+    assert not Reservation(room, "a").resize(1)
+    share.resize(0)
     assert room.held == 30
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 80)), max_size=60))
 def test_the_room_counts_right_whatever_is_asked_of_it(steps: list[tuple[int, int]]) -> None:
-    room = Room(100)
-    shares, held = [Share(room, str(n % 2)) for n in range(4)], [0] * 4
+    room = ByteBudget(100)
+    shares, held = [Reservation(room, str(n % 2)) for n in range(4)], [0] * 4
     for who, size in steps:
-        if shares[who].hold(size):
+        if shares[who].resize(size):
             held[who] = size
         assert room.held == sum(held) <= 100
     for share in shares:
-        share.hold(0)
-    assert (room.held, room._of) == (0, {})
+        share.resize(0)
+    assert (room.held, room._held_by) == (0, {})
 
 
 @pytest.mark.parametrize("mode", list(Mode))
 def test_frames_that_wait_count_until_they_are_answered(mode: Mode) -> None:
-    room = Room(100)
-    queue = FrameQueue(mode, 4, lambda: None, Share(room, "a"))
+    room = ByteBudget(100)
+    queue = FrameQueue(mode, 4, lambda: None, Reservation(room, "a"))
 
     def put(seq: int, size: int) -> None:
         queue.put_frame(Frame(bytes(size), seq, None, None, 0.0, 0.0), [])
@@ -105,36 +105,36 @@ def test_frames_that_wait_count_until_they_are_answered(mode: Mode) -> None:
 
 def test_refusals_above_their_rate_come_late_and_not_ever_later() -> None:
     clock = Clock()
-    meter = Meter(Settings(max_refusals_per_s=10), clock)
-    assert [meter.refusal("a") for _ in range(10)] == [0.0] * 10
-    assert meter.refusal("a") > 0
-    assert meter.refusal("b") == 0
+    meter = RateLimiter(Settings(max_refusals_per_s=10), clock)
+    assert [meter.refusal_delay_s("a") for _ in range(10)] == [0.0] * 10
+    assert meter.refusal_delay_s("a") > 0
+    assert meter.refusal_delay_s("b") == 0
     for _ in range(1000):
-        late_s = meter.refusal("a")
-    assert late_s == MAX_LATE_S
-    clock.now += MAX_LATE_S + 1
-    assert meter.refusal("a") == 0
+        late_s = meter.refusal_delay_s("a")
+    assert late_s == MAX_DELAY_S
+    clock.now += MAX_DELAY_S + 1
+    assert meter.refusal_delay_s("a") == 0
 
 
 async def test_a_few_at_once_of_each_key() -> None:
-    few, release = Few(2, 0.01, "snapshots"), asyncio.Event()
+    limit, release = ConcurrencyLimit(2, 0.01, "snapshots"), asyncio.Event()
 
     async def work() -> None:
-        async with few.turn("a"):
+        async with limit.slot("a"):
             await release.wait()
 
     working = [asyncio.ensure_future(work()) for _ in range(2)]
     await asyncio.sleep(0)
     with pytest.raises(ProblemError, match="at most 2 snapshots of a key at once"):
-        async with few.turn("a"):
+        async with limit.slot("a"):
             pass
-    async with few.turn("b"):
+    async with limit.slot("b"):
         pass
     release.set()
     await asyncio.gather(*working)
-    async with few.turn("a"):
+    async with limit.slot("a"):
         pass
-    assert not few._lines
+    assert not limit._owners
 
 
 def test_lines_that_a_stranger_causes_are_counted_and_not_all_written() -> None:

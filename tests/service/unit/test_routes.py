@@ -18,7 +18,7 @@ from service.sessions.session import Options
 from service.settings import Settings
 
 from .routes import dependencies, routes
-from .test_book import Lanes
+from .test_registry import Lanes
 
 
 def test_no_route_and_no_dependency_runs_in_a_thread() -> None:
@@ -88,7 +88,7 @@ async def test_a_trajectory_can_be_asked_for_by_its_own_media_type(
 ) -> None:
     app = create_app(Settings(), lanes=Lanes(1))
     options = Options("default", "reject", None, False, 300.0)
-    session = await app.state.service.book.create("anyone", b"frame", [[1, 2, 3, 4]], options, None)
+    session = await app.state.service.registry.create("anyone", b"frame", [[1, 2, 3, 4]], options, None)
     transport = httpx2.ASGITransport(app)
     async with httpx2.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client:
         path = f"/v1/sessions/{session.id}/trajectory?target=0&format={format}"
@@ -98,12 +98,12 @@ async def test_a_trajectory_can_be_asked_for_by_its_own_media_type(
 
 async def test_work_in_the_background_that_fails_is_logged_and_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(application, "AGAIN_S", 0.001)
-    monkeypatch.setattr("service.sessions.book.SWEEP_EVERY_S", 0.001)
+    monkeypatch.setattr("service.sessions.registry.SWEEP_EVERY_S", 0.001)
     monkeypatch.setattr("service.service.KEYS_EVERY_S", 0.001)
     app = create_app(Settings(), lanes=Lanes(1))
     service: Any = app.state.service
     swept, refreshed = asyncio.Event(), asyncio.Event()
-    monkeypatch.setattr(service.book, "sweep", _fails_once(swept))
+    monkeypatch.setattr(service.registry, "sweep", _fails_once(swept))
     monkeypatch.setattr(service.gate.__class__, "refresh", _fails_once(refreshed))
     with capture_logs() as lines:
         async with app.router.lifespan_context(app):

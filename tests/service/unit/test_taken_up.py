@@ -1,4 +1,4 @@
-"""Sessions that one book leaves in the state directory and the next one takes up: what ends them and what does not."""
+"""Sessions that one process leaves in the state directory are taken up by the next one."""
 
 from __future__ import annotations
 
@@ -16,98 +16,98 @@ from service.app import create_app
 from service.lanes.interface import Place
 from service.server import make_server
 from service.sessions.session import Session
-from service.sessions.vault import FILE
+from service.sessions.sqlite_store import FILE
 from service.settings import Settings
 
-from .test_book import Frame, Lanes, World, gone
 from .test_recovery import Keeping
+from .test_registry import Frame, Lanes, World, gone
 
 
 async def left_behind(world: World, *, age_s: float = 0.0) -> Session:
-    """A session of that age, in use all the time; its book has parked it."""
+    """A session of that age, in use all the time; its registry has parked it."""
     session = await world.create()
     session.created -= age_s
     session.created_at -= timedelta(seconds=age_s)
     for _ in range(int(age_s // 5)):
         world.now += 5
-        world.book.find("me", session.id)
-    await world.book.park()
+        world.registry.find("me", session.id)
+    await world.registry.save_all()
     return session
 
 
 @pytest.mark.parametrize("down_s", [0, 1000], ids=["at once", "after a while"])
 async def test_a_session_older_than_its_idle_time_is_taken_up(tmp_path: Path, down_s: float) -> None:
     first = Keeping(state_dir=str(tmp_path))
-    await first.book.load()
+    await first.registry.load()
     session = await left_behind(first, age_s=25)
     second = Keeping(state_dir=str(tmp_path))
     second.now = first.now + down_s
-    await second.book.load()
-    assert second.book.find("me", session.id).seq == session.seq
+    await second.registry.load()
+    assert second.registry.find("me", session.id).seq == session.seq
     second.now += 9
-    second.book.sweep()
-    assert second.book.find("me", session.id).ended is None
+    second.registry.sweep()
+    assert second.registry.find("me", session.id).ended is None
     second.now += 11
     assert gone(second, session) == ("session-gone", "idle")
-    await second.book.park()
+    await second.registry.save_all()
 
 
 async def test_time_spent_down_counts_for_the_absolute_end(tmp_path: Path) -> None:
     """By the clock on the wall: the monotonic one may begin anew with the machine."""
     first = Keeping(state_dir=str(tmp_path))
-    await first.book.load()
+    await first.registry.load()
     old, young = await first.create(), await first.create()
     old.created_at -= timedelta(seconds=101)
     young.created_at -= timedelta(seconds=69)
-    await first.book.park()
+    await first.registry.save_all()
     second = Keeping(state_dir=str(tmp_path))
-    await second.book.load()
+    await second.registry.load()
     assert gone(second, old) == ("session-gone", "expired")
-    assert second.book.find("me", young.id).ended is None
+    assert second.registry.find("me", young.id).ended is None
     second.now += 35
     assert gone(second, young) == ("session-gone", "expired")
-    await second.book.park()
+    await second.registry.save_all()
 
 
 async def test_the_idle_time_of_a_session_that_is_taken_up_is_cut_to_the_limit(tmp_path: Path) -> None:
     first = Keeping(state_dir=str(tmp_path))
-    await first.book.load()
+    await first.registry.load()
     session = await first.create(idle_s=3000)
-    await first.book.park()
+    await first.registry.save_all()
     second = Keeping(state_dir=str(tmp_path), max_idle_timeout_s=60)
-    await second.book.load()
-    assert second.book.find("me", session.id).options.idle_timeout_s == 60
-    await second.book.park()
+    await second.registry.load()
+    assert second.registry.find("me", session.id).options.idle_timeout_s == 60
+    await second.registry.save_all()
 
 
 async def test_what_was_lost_is_told_also_after_another_restart(tmp_path: Path) -> None:
     """The client did not come back between a breakdown and the next stop."""
     first = Keeping(state_dir=str(tmp_path))
-    await first.book.load()
+    await first.registry.load()
     session = await first.create()
-    assert first.book.keeper._vault is not None
-    first.book.keeper._vault.flush(10)
-    first.book.keeper._vault.close()  # as if it had been killed: nothing says that the session is whole
+    assert first.registry.store._database is not None
+    first.registry.store._database.flush(10)
+    first.registry.store._database.close()  # as if it had been killed: nothing says that the session is whole
     second = Keeping(state_dir=str(tmp_path))
-    await second.book.load()
-    assert second.book.find("me", session.id).lost_after == 0
-    await second.book.park()
+    await second.registry.load()
+    assert second.registry.find("me", session.id).lost_after == 0
+    await second.registry.save_all()
     third = Keeping(state_dir=str(tmp_path))
-    await third.book.load()
-    again = third.book.find("me", session.id)
+    await third.registry.load()
+    again = third.registry.find("me", session.id)
     assert again.lost_after == 0
     await third.track(again)
     assert again.lost_after is None
-    await third.book.park()
+    await third.registry.save_all()
     fourth = Keeping(state_dir=str(tmp_path))
-    await fourth.book.load()
-    assert fourth.book.find("me", session.id).lost_after is None
-    await fourth.book.park()
+    await fourth.registry.load()
+    assert fourth.registry.find("me", session.id).lost_after is None
+    await fourth.registry.save_all()
 
 
 async def test_a_stop_before_lanes_are_ready_loses_nothing(tmp_path: Path) -> None:
     first = Keeping(state_dir=str(tmp_path))
-    await first.book.load()
+    await first.registry.load()
     session = await left_behind(first)
     second = Keeping(state_dir=str(tmp_path), operation_deadline_s=0.01)
 
@@ -116,33 +116,33 @@ async def test_a_stop_before_lanes_are_ready_loses_nothing(tmp_path: Path) -> No
         raise AssertionError
 
     second.lanes.regain = never  # type: ignore[method-assign]
-    await second.book.load()
+    await second.registry.load()
     await asyncio.sleep(0.01)
-    await second.book.park()
+    await second.registry.save_all()
     third = Keeping(state_dir=str(tmp_path))
-    await third.book.load()
-    assert third.book.find("me", session.id).lost_after is None
-    await third.book.park()
+    await third.registry.load()
+    assert third.registry.find("me", session.id).lost_after is None
+    await third.registry.save_all()
 
 
 async def test_opening_the_state_directory_changes_nothing(tmp_path: Path) -> None:
     """A process that ends between opening it and taking the sessions over has lost nothing."""
     first = Keeping(state_dir=str(tmp_path))
-    await first.book.load()
+    await first.registry.load()
     session = await left_behind(first)
     second = Keeping(state_dir=str(tmp_path))
-    second.book.keeper.open()
-    assert second.book.keeper._vault is not None
-    second.book.keeper._vault.close()
+    second.registry.store.open()
+    assert second.registry.store._database is not None
+    second.registry.store._database.close()
     third = Keeping(state_dir=str(tmp_path))
-    await third.book.load()
-    assert third.book.find("me", session.id).lost_after is None
-    await third.book.park()
+    await third.registry.load()
+    assert third.registry.find("me", session.id).lost_after is None
+    await third.registry.save_all()
 
 
 async def test_a_start_that_fails_loses_nothing(tmp_path: Path) -> None:
     first = Keeping(state_dir=str(tmp_path))
-    await first.book.load()
+    await first.registry.load()
     session = await left_behind(first)
 
     class Broken(Lanes):
@@ -154,9 +154,9 @@ async def test_a_start_that_fails_loses_nothing(tmp_path: Path) -> None:
         async with app.router.lifespan_context(app):
             raise AssertionError
     third = Keeping(state_dir=str(tmp_path))
-    await third.book.load()
-    assert third.book.find("me", session.id).lost_after is None
-    await third.book.park()
+    await third.registry.load()
+    assert third.registry.find("me", session.id).lost_after is None
+    await third.registry.save_all()
 
 
 def test_a_signal_in_the_middle_of_the_start_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -175,22 +175,22 @@ def test_a_signal_in_the_middle_of_the_start_loses_nothing(tmp_path: Path, monke
     third = Keeping(state_dir=str(tmp_path))
 
     async def look() -> int | None:
-        await third.book.load()
-        lost_after = third.book.find("me", session.id).lost_after
-        await third.book.park()
+        await third.registry.load()
+        lost_after = third.registry.find("me", session.id).lost_after
+        await third.registry.save_all()
         return lost_after
 
     assert asyncio.run(look()) is None
 
 
 async def _loaded_and_left(world: World) -> Session:
-    await world.book.load()
+    await world.registry.load()
     return await left_behind(world)
 
 
 async def test_a_session_is_not_idle_until_it_is_restored(tmp_path: Path) -> None:
     first = Keeping(state_dir=str(tmp_path))
-    await first.book.load()
+    await first.registry.load()
     session = await left_behind(first)
     second = Keeping(state_dir=str(tmp_path))
     ready = asyncio.Event()
@@ -201,30 +201,30 @@ async def test_a_session_is_not_idle_until_it_is_restored(tmp_path: Path) -> Non
         return await regain(key, owner)
 
     second.lanes.regain = late  # type: ignore[method-assign]
-    await second.book.load()
+    await second.registry.load()
     await asyncio.sleep(0.01)
     second.now += 15
-    second.book.sweep()
+    second.registry.sweep()
     ready.set()
     await asyncio.sleep(0.01)
     second.now += 9
-    taken_up = second.book.find("me", session.id)
+    taken_up = second.registry.find("me", session.id)
     frame = Frame(b"", taken_up.number(None), None, None, 0.0, 0.0)
     assert (await taken_up.track(frame))[0]["seq"] == session.seq + 1
-    await second.book.park()
+    await second.registry.save_all()
 
 
 async def test_a_damaged_session_is_told_to_its_owner_and_leaves_the_file(tmp_path: Path) -> None:
     first = Keeping(state_dir=str(tmp_path))
-    await first.book.load()
+    await first.registry.load()
     damaged, kept = await first.create(), await first.create()
-    await first.book.park()
+    await first.registry.save_all()
     with closing(sqlite3.connect(tmp_path / FILE, isolation_level=None)) as db:
         db.execute("UPDATE session SET checksum = checksum + 1 WHERE id = ?", (damaged.id,))
     second = Keeping(state_dir=str(tmp_path))
-    await second.book.load()
+    await second.registry.load()
     assert gone(second, damaged) == ("session-gone", "lost")
-    assert second.book.find("me", kept.id).ended is None
-    await second.book.park()
+    assert second.registry.find("me", kept.id).ended is None
+    await second.registry.save_all()
     with closing(sqlite3.connect(tmp_path / FILE)) as db:
         assert db.execute("SELECT id FROM session").fetchall() == [(kept.id,)]

@@ -21,13 +21,13 @@ from hypothesis.stateful import Bundle, RuleBasedStateMachine, consumes, invaria
 from starlette.testclient import TestClient, WebSocketDenialResponse, WebSocketTestSession
 
 from service.app import create_app
+from service.lanes.frame_view import Refused
+from service.lanes.framing import decode_call, encode_reply
 from service.lanes.interface import Buffers, LaneLost
-from service.lanes.store import Store
-from service.lanes.view import Refused
-from service.lanes.wire import decode_call, encode_reply
+from service.lanes.operations import LaneOperations
 from service.settings import Settings
 
-from .test_book import Lanes
+from .test_registry import Lanes
 
 KEYS = ("key-of-the-first-tenant", "key-of-the-other-tenant")
 PLACES = 12
@@ -49,7 +49,7 @@ class OwnLanes(Lanes):
 
     def __init__(self) -> None:
         super().__init__(PLACES)
-        self.store = Store(CONFIG)
+        self.store = LaneOperations(CONFIG)
 
     async def call(self, key: str, request: Buffers) -> bytes:
         if key not in self.keys:

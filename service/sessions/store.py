@@ -14,52 +14,52 @@ from ..lanes.interface import Lanes
 from ..observability.metrics import Metrics
 from ..problems import ProblemError
 from ..settings import Settings
-from .journal import Budget
-from .lane_state import LaneState, Turns
+from .lane_state import LaneState, RestoreSlots
+from .replay_log import RecoveryBudget
 from .session import Options, Session
-from .vault import Saved, Vault
+from .sqlite_store import SavedSession, SqliteStore
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.recovery")
 
 
-class Keeper:
+class SessionStore:
     """Journals in memory, within one budget; sessions on disk where a state directory is set."""
 
     def __init__(self, settings: Settings, lanes: Lanes, metrics: Metrics) -> None:
-        self.budget = Budget(settings.max_recovery_bytes)
+        self.budget = RecoveryBudget(settings.max_recovery_bytes)
         self._settings, self._lanes, self._metrics = settings, lanes, metrics
-        self._turns = Turns()
-        self._vault = Vault(Path(settings.state_dir), metrics) if settings.state_dir else None
+        self._restore_slots = RestoreSlots()
+        self._database = SqliteStore(Path(settings.state_dir), metrics) if settings.state_dir else None
         self.all_written = True
         """False once sessions could not be written when the service stopped."""
 
     @property
     def durable(self) -> bool:
         """Whether sessions outlive the process."""
-        return self._vault is not None
+        return self._database is not None
 
     def lane_state(self, sid: str, owner: str) -> LaneState:
         """The lane side of a new session."""
-        return LaneState(sid, owner, self._lanes, self._turns, self.budget, self._settings, self._metrics)
+        return LaneState(sid, owner, self._lanes, self._restore_slots, self.budget, self._settings, self._metrics)
 
     def open(self) -> None:
-        """Open the state directory, where there is one. Raises BadState."""
-        if self._vault is not None:
-            self._vault.open()
+        """Open the state directory, where there is one. Raises StateDirError."""
+        if self._database is not None:
+            self._database.open()
 
-    def begin(self) -> None:
-        """Take over what the state directory holds, where there is one; opens it too. Raises BadState."""
-        if self._vault is not None:
-            self._vault.begin()
+    def take_over(self) -> None:
+        """Take over what the state directory holds, where there is one; opens it too. Raises StateDirError."""
+        if self._database is not None:
+            self._database.take_over()
 
-    def take(self) -> tuple[list[Saved], list[tuple[str, str]]]:
+    def load(self) -> tuple[list[SavedSession], list[tuple[str, str]]]:
         """What another process has left: sessions, and ids and owners of damaged ones; once."""
-        return self._vault.take() if self._vault else ([], [])
+        return self._database.load() if self._database else ([], [])
 
-    def safe(self, session: Session, *, whole: bool = False) -> None:
+    def save(self, session: Session, *, whole: bool = False) -> None:
         """The session can be brought back as it is now; ``whole``: and nothing more will happen to it here."""
-        base = session.lane.journal.base
-        if self._vault is None or base is None or session.ended:
+        base = session.lane.replay_log.checkpoint
+        if self._database is None or base is None or session.ended:
             return
         options = session.options
         front = {
@@ -74,9 +74,9 @@ class Keeper:
         trajectory = session.trajectory
         entries = deque(trajectory.newest(session.saved_to))
         session.saved_to = session.seq
-        self._vault.save(Saved(session.id, session.owner, front, base, entries, trajectory.first_seq, whole))
+        self._database.save(SavedSession(session.id, session.owner, front, base, entries, trajectory.first_seq, whole))
 
-    def fill(self, session: Session, saved: Saved) -> None:
+    def restore_into(self, session: Session, saved: SavedSession) -> None:
         """Make a new session what the saved one was; its state comes back with its lane."""
         front = saved.front
         session.seq, session.last_number = front["seq"], front["last_number"]
@@ -85,22 +85,22 @@ class Keeper:
             session.trajectory.append_packed(seq, entry)
         session.saved_to = session.seq
         session.lost_after = None if saved.whole else session.seq
-        session.lane.journal.rebase(saved.base)
+        session.lane.replay_log.reset_to(saved.base)
 
-    def forget(self, session: Session) -> None:
+    def delete(self, session: Session) -> None:
         """The session has ended."""
-        session.lane.journal.close()
-        if self._vault is not None:
-            self._vault.forget(session.id)
+        session.lane.replay_log.close()
+        if self._database is not None:
+            self._database.delete(session.id)
 
-    async def park(self, sessions: Iterable[Session]) -> None:
+    async def save_all(self, sessions: Iterable[Session]) -> None:
         """Write all sessions as they are when their work in flight is done, and close the state directory."""
-        if self._vault is None:
+        if self._database is None:
             return
         sessions = list(sessions)
         results = await asyncio.gather(*(self._park(session) for session in sessions))
-        await asyncio.to_thread(self._vault.flush, self._settings.operation_deadline_s)
-        self.all_written = await asyncio.to_thread(self._vault.close)
+        await asyncio.to_thread(self._database.flush, self._settings.operation_deadline_s)
+        self.all_written = await asyncio.to_thread(self._database.close)
         told = log.info if self.all_written and all(results) else log.error
         told("sessions parked", sessions=len(sessions), whole=sum(results), written=self.all_written)
 
@@ -111,15 +111,15 @@ class Keeper:
         except (ProblemError, TimeoutError):
             return False  # it will go on from its last checkpoint
         # What was lost before stays lost until its client has been told and a frame is tracked.
-        self.safe(session, whole=session.lost_after is None)
+        self.save(session, whole=session.lost_after is None)
         return True
 
 
-def options_of(saved: Saved) -> Options:
+def options_of(saved: SavedSession) -> Options:
     """What the client of a saved session chose."""
     return Options(*saved.front["options"])
 
 
-def created_at_of(saved: Saved) -> datetime:
+def created_at_of(saved: SavedSession) -> datetime:
     """When a saved session was made."""
     return datetime.fromisoformat(saved.front["created_at"])

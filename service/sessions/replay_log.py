@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from ..lanes.framing import encode_call
 from ..lanes.interface import Buffers
-from ..lanes.wire import encode_call
 
 # What an operation costs beyond its image.
 OVERHEAD_BYTES = 1024
@@ -31,7 +31,7 @@ class Operation:
         return encode_call(self.op, key, self.args, self.data)
 
 
-class Budget:
+class RecoveryBudget:
     """The bytes of all journals together: ``checkpoints``, and the ``frames`` since."""
 
     def __init__(self, limit: int) -> None:
@@ -44,34 +44,34 @@ class Budget:
         return self.checkpoints + self.frames >= self.limit
 
 
-class Journal:
+class ReplayLog:
     """``base`` makes the session, alone, as it was then; ``since`` are the operations that changed it later."""
 
-    def __init__(self, budget: Budget) -> None:
-        self.base: Operation | None = None
-        self.since: list[Operation] = []
+    def __init__(self, budget: RecoveryBudget) -> None:
+        self.checkpoint: Operation | None = None
+        self.operations: list[Operation] = []
         self.bytes = 0
         self._budget = budget
         self._closed = False
 
-    def add(self, operation: Operation) -> None:
+    def append(self, operation: Operation) -> None:
         """``operation`` has changed the session; the first one has made it."""
         if self._closed:
             return
-        if self.base is None:
-            self.rebase(operation)
+        if self.checkpoint is None:
+            self.reset_to(operation)
             return
-        self.since.append(operation)
+        self.operations.append(operation)
         self.bytes += operation.bytes
         self._budget.frames += operation.bytes
 
-    def rebase(self, base: Operation) -> None:
-        """``base`` makes the session as it is now."""
+    def reset_to(self, checkpoint: Operation) -> None:
+        """Start anew from ``checkpoint``, which makes the session as it is now."""
         if self._closed:
             return
         self._clear()
-        self.base = base
-        self._budget.checkpoints += base.bytes
+        self.checkpoint = checkpoint
+        self._budget.checkpoints += checkpoint.bytes
 
     def close(self) -> None:
         """Keep nothing, from now on."""
@@ -79,7 +79,7 @@ class Journal:
         self._closed = True
 
     def _clear(self) -> None:
-        if self.base is not None:
-            self._budget.checkpoints -= self.base.bytes
+        if self.checkpoint is not None:
+            self._budget.checkpoints -= self.checkpoint.bytes
         self._budget.frames -= self.bytes
-        self.base, self.since, self.bytes = None, [], 0
+        self.checkpoint, self.operations, self.bytes = None, [], 0

@@ -25,7 +25,7 @@ LONG_BYTES = 1 << 16
 LONG_VALUE = b"\x92\xc0\xc6"  # [nil, bin 32]
 
 
-class Disorder(Exception):
+class FramingError(Exception):
     """What arrived is not of this protocol."""
 
 
@@ -54,7 +54,7 @@ def decode_reply(payload: bytes | memoryview) -> tuple[str | None, Any]:
     try:
         code, value = msgpack.unpackb(payload, strict_map_key=False)
     except ValueError as broken:
-        raise Disorder("a lane's reply cannot be read") from broken
+        raise FramingError("a lane's reply cannot be read") from broken
     return code, value
 
 
@@ -70,13 +70,13 @@ class Splitter:
         self._rest = bytearray()
 
     def feed(self, data: bytes) -> Iterator[tuple[int, bytes | memoryview]]:
-        """``call, payload`` of every message that ``data`` completes. Raises Disorder."""
+        """``call, payload`` of every message that ``data`` completes. Raises FramingError."""
         self._rest += data
         at = 0
         while len(self._rest) - at >= HEAD.size:
             length, call = HEAD.unpack_from(self._rest, at)
             if length > MAX_MESSAGE_BYTES:
-                raise Disorder(f"a message of {length} bytes")
+                raise FramingError(f"a message of {length} bytes")
             end = at + HEAD.size + length
             if len(self._rest) < end:
                 break

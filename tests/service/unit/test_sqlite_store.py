@@ -20,23 +20,23 @@ from prometheus_client import generate_latest
 from structlog.testing import capture_logs
 
 from service.observability.metrics import Metrics
-from service.sessions import vault as vaults
-from service.sessions.journal import Operation
-from service.sessions.vault import FILE, SCHEMA, BadState, Saved, Vault
+from service.sessions import sqlite_store
+from service.sessions.replay_log import Operation
+from service.sessions.sqlite_store import FILE, SCHEMA, SavedSession, SqliteStore, StateDirError
 
 PIECE = 48
 
 
-def opened(folder: Path) -> Vault:
-    vault = Vault(folder, Metrics())
-    vault.begin()
-    return vault
+def opened(folder: Path) -> SqliteStore:
+    database = SqliteStore(folder, Metrics())
+    database.take_over()
+    return database
 
 
-def saved(sid: str, frame: bytes, seqs: range = range(1), first_seq: int = 0) -> Saved:
+def saved(sid: str, frame: bytes, seqs: range = range(1), first_seq: int = 0) -> SavedSession:
     entries = deque((seq, b"entry %d" % seq) for seq in seqs)
     front = {"seq": seqs[-1]}
-    return Saved(sid, "me", front, Operation("revive", {}, b"state" + frame), entries, first_seq, whole=False)
+    return SavedSession(sid, "me", front, Operation("revive", {}, b"state" + frame), entries, first_seq, whole=False)
 
 
 def frames(count: int, seed: int = 1) -> list[bytes]:
@@ -95,40 +95,40 @@ def as_before(folder: Path, kept: list[Before], ended: list[Before]) -> None:
 def test_nothing_of_an_ended_session_stays_on_disk(tmp_path: Path, others: bool) -> None:
     """While the service runs and after it stops, in the file, its free pages and its write-ahead log."""
     images = frames(12)
-    vault = opened(tmp_path)
+    database = opened(tmp_path)
     kept = frames(3, seed=2) if others else []
     for number, image in enumerate(images + kept):
-        vault.save(saved(f"s{number}", image))
-        assert vault.flush(20)
+        database.save(saved(f"s{number}", image))
+        assert database.flush(20)
         # Newer states of the same session replace it.
-        vault.save(saved(f"s{number}", image[::-1]))
-        vault.save(saved(f"s{number}", image))
-    assert vault.flush(20)
+        database.save(saved(f"s{number}", image[::-1]))
+        database.save(saved(f"s{number}", image))
+    assert database.flush(20)
     assert remains(tmp_path, images) == len(images)
     for number in range(len(images)):
-        vault.forget(f"s{number}")
-    assert vault.flush(20)
+        database.delete(f"s{number}")
+    assert database.flush(20)
     gone = images + [image[::-1] for image in images]
     assert remains(tmp_path, gone) == 0
     assert remains(tmp_path, kept) == len(kept)
-    vault.close()
+    database.close()
     assert remains(tmp_path, gone) == 0
 
 
 def test_what_a_killed_process_left_in_the_log_is_erased_at_the_next_start(tmp_path: Path) -> None:
     images = frames(4)
     running, killed = tmp_path / "running", tmp_path / "killed"
-    vault = opened(running)
+    database = opened(running)
     for number, image in enumerate(images):
-        vault.save(saved(f"s{number}", image))
-    assert vault.flush(20)
-    vault._db.execute("DELETE FROM session")  # type: ignore[union-attr]
+        database.save(saved(f"s{number}", image))
+    assert database.flush(20)
+    database._db.execute("DELETE FROM session")  # type: ignore[union-attr]
     shutil.copytree(running, killed)
-    vault.close()
+    database.close()
     assert remains(killed, images) == len(images)
-    vault = opened(killed)
+    database = opened(killed)
     assert remains(killed, images) == 0
-    vault.close()
+    database.close()
 
 
 def test_remains_of_an_earlier_version_are_erased_and_its_sessions_are_read(tmp_path: Path) -> None:
@@ -136,27 +136,27 @@ def test_remains_of_an_earlier_version_are_erased_and_its_sessions_are_read(tmp_
     rows = [Before(f"s{n}", "me", {"seq": 0}, "revive", {}, data) for n, data in enumerate(kept + ended)]
     as_before(tmp_path, rows[: len(kept)], rows[len(kept) :])
     assert remains(tmp_path, ended) > 0
-    vault = Vault(tmp_path, Metrics())
-    vault.open()
-    found, damaged = vault.take()
+    database = SqliteStore(tmp_path, Metrics())
+    database.open()
+    found, damaged = database.load()
     assert [(one.id, one.base.data, one.whole, list(one.entries)) for one in found] == [
         (f"s{n}", data, True, [(0, b"entry")]) for n, data in enumerate(kept)
     ]
     assert damaged == []
     assert remains(tmp_path, ended) == 0
-    vault.close()
+    database.close()
 
 
-def fill_up(vault: Vault) -> Callable[[], None]:
-    """Let the disk of an open vault be full until what is returned is called."""
-    assert vault._db is not None
-    (most,) = vault._db.execute("PRAGMA max_page_count").fetchone()
-    vault._db.execute("PRAGMA max_page_count=1")
-    return lambda: vault._db.execute(f"PRAGMA max_page_count={most}")  # type: ignore[union-attr, return-value]
+def fill_up(database: SqliteStore) -> Callable[[], None]:
+    """Let the disk of an open database be full until what is returned is called."""
+    assert database._db is not None
+    (most,) = database._db.execute("PRAGMA max_page_count").fetchone()
+    database._db.execute("PRAGMA max_page_count=1")
+    return lambda: database._db.execute(f"PRAGMA max_page_count={most}")  # type: ignore[union-attr, return-value]
 
 
-def failures(vault: Vault) -> float:
-    text = generate_latest(vault._metrics.registry).decode()
+def failures(database: SqliteStore) -> float:
+    text = generate_latest(database._metrics.registry).decode()
     return float(
         next(line for line in text.splitlines() if line.startswith("mfcmt_state_write_failures_total")).split()[1]
     )
@@ -164,49 +164,49 @@ def failures(vault: Vault) -> float:
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(vaults, "RETRY_S", 0.01)
+    monkeypatch.setattr(sqlite_store, "RETRY_S", 0.01)
 
 
 @pytest.mark.usefixtures("impatient")
 def test_a_full_disk_costs_a_bounded_memory_and_one_line(tmp_path: Path) -> None:
     with capture_logs() as lines:
-        vault = opened(tmp_path)
-        vault.save(saved("lasting", frames(1)[0]))
-        assert vault.flush(20)
-        make_room = fill_up(vault)
+        database = opened(tmp_path)
+        database.save(saved("lasting", frames(1)[0]))
+        assert database.flush(20)
+        make_room = fill_up(database)
         for seq in range(1, 2000):
-            vault.save(saved("lasting", b"x" * 100_000, range(seq - 1, seq + 1), first_seq=max(0, seq - 50)))
-            vault.save(saved(f"short{seq}", b"x" * 100_000))
-            vault.forget(f"short{seq}")
+            database.save(saved("lasting", b"x" * 100_000, range(seq - 1, seq + 1), first_seq=max(0, seq - 50)))
+            database.save(saved(f"short{seq}", b"x" * 100_000))
+            database.delete(f"short{seq}")
             if seq % 200 == 0:
-                while failures(vault) < seq // 200:
+                while failures(database) < seq // 200:
                     pass
-        waiting = vault._waiting | vault._batch
+        waiting = database._waiting | database._batch
         assert set(waiting) <= {"lasting", "short1999"}
         assert waiting["lasting"] is not None
         assert [seq for seq, _ in waiting["lasting"].entries] == list(range(1949, 2000))
-        vault.forget("lasting")
+        database.delete("lasting")
         make_room()
-        assert vault.flush(20)
-        vault.close()
+        assert database.flush(20)
+        database.close()
     told = [line["event"] for line in lines]
     assert told.count("sessions cannot be written") == 1
     assert told.count("sessions are written again") == 1
-    vault = opened(tmp_path)
-    assert vault.take() == ([], [])
-    vault.close()
+    database = opened(tmp_path)
+    assert database.load() == ([], [])
+    database.close()
 
 
 @pytest.mark.usefixtures("impatient")
 def test_a_vault_that_could_not_write_says_so_when_it_is_closed(tmp_path: Path) -> None:
-    vault = opened(tmp_path)
-    fill_up(vault)
-    vault.save(saved("a", b"x" * 100_000))
-    assert not vault.flush(0.1)
-    assert vault.close() is False
-    vault = opened(tmp_path)
-    vault.save(saved("a", b"x" * 100_000))
-    assert vault.close() is True
+    database = opened(tmp_path)
+    fill_up(database)
+    database.save(saved("a", b"x" * 100_000))
+    assert not database.flush(0.1)
+    assert database.close() is False
+    database = opened(tmp_path)
+    database.save(saved("a", b"x" * 100_000))
+    assert database.close() is True
 
 
 def test_a_full_disk_at_the_start_says_what_to_do(tmp_path: Path) -> None:
@@ -214,7 +214,7 @@ def test_a_full_disk_at_the_start_says_what_to_do(tmp_path: Path) -> None:
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
     try:
-        with pytest.raises(BadState, match="cannot be used"):
-            Vault(tmp_path, Metrics()).open()
+        with pytest.raises(StateDirError, match="cannot be used"):
+            SqliteStore(tmp_path, Metrics()).open()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)

@@ -24,38 +24,38 @@ _HEAD_1 = struct.Struct(f">6sH{_MAC_BYTES}s")
 _PURPOSE, _NAME = b"mfcmt snapshot\0", b"mfcmt signing key\0"
 
 
-class BadSeal(Exception):
+class BadSignature(Exception):
     """The bytes are no snapshot that this service signed for this owner; the text may be shown."""
 
 
-class Seal:
+class SnapshotSigner:
     """Signs with the first secret, reads what any of them signed."""
 
     def __init__(self, secrets: Sequence[bytes]) -> None:
         self._secrets = {_name(secret): secret for secret in reversed(secrets)}
         self._first = _name(secrets[0])
 
-    def close(self, owner: str, body: bytes | memoryview) -> bytes:
+    def sign(self, owner: str, body: bytes | memoryview) -> bytes:
         """``body`` versioned and signed for ``owner``."""
         start = _HEAD.pack(MAGIC, VERSION, self._first, len(body), b"")[:-_MAC_BYTES]
         mac = _mac(self._secrets[self._first], (_PURPOSE, start, _sized(owner), body))
         return b"".join((start, mac, body))
 
-    def open(self, owner: str, data: bytes) -> bytes:
-        """The body, if its signature is good. Raises BadSeal."""
+    def verify(self, owner: str, data: bytes) -> bytes:
+        """The body, if its signature is good. Raises BadSignature."""
         if len(data) < _START.size:
-            raise BadSeal("shorter than a snapshot's head")
+            raise BadSignature("shorter than a snapshot's head")
         magic, version = _START.unpack_from(data)
         if magic != MAGIC:
-            raise BadSeal("not a snapshot")
+            raise BadSignature("not a snapshot")
         if version not in READABLE:
-            raise BadSeal(f"version {version} is not read here")
+            raise BadSignature(f"version {version} is not read here")
         head = _HEAD_1 if version == 1 else _HEAD
         if len(data) < head.size:
-            raise BadSeal("shorter than a snapshot's head")
+            raise BadSignature("shorter than a snapshot's head")
         good = self._good_1 if version == 1 else self._good
         if not good(owner, data, memoryview(data)[head.size :]):
-            raise BadSeal("the signature does not match")
+            raise BadSignature("the signature does not match")
         return data[head.size :]
 
     def _good(self, owner: str, data: bytes, body: memoryview) -> bool:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.seal import MAGIC, READABLE, VERSION, BadSeal, Seal
+from service.snapshot_signer import MAGIC, READABLE, VERSION, BadSignature, SnapshotSigner
 
 OLD, NEW = b"the secret of last year", b"the secret of this year"
 BODY = b"what a lane wrote" * 10
@@ -23,41 +23,41 @@ def version_1(secret: bytes, owner: str, body: bytes) -> bytes:
     return b"MFCMTS" + struct.pack(">H", 1) + mac + body
 
 
-def refusal(seal: Seal, owner: str, data: bytes) -> str:
-    with pytest.raises(BadSeal) as refused:
-        seal.open(owner, data)
+def refusal(seal: SnapshotSigner, owner: str, data: bytes) -> str:
+    with pytest.raises(BadSignature) as refused:
+        seal.verify(owner, data)
     return str(refused.value)
 
 
 @given(owner=st.text(max_size=40), body=st.binary(max_size=2000))
 def test_what_is_closed_opens(owner: str, body: bytes) -> None:
-    seal = Seal([NEW, OLD])
-    data = seal.close(owner, body)
+    seal = SnapshotSigner([NEW, OLD])
+    data = seal.sign(owner, body)
     assert data[:8] == MAGIC + struct.pack(">H", VERSION)
-    assert seal.open(owner, data) == body
+    assert seal.verify(owner, data) == body
 
 
 def test_the_current_and_the_previous_version_are_read() -> None:
     assert READABLE == (VERSION - 1, VERSION)
-    seal = Seal([NEW, OLD])
+    seal = SnapshotSigner([NEW, OLD])
     for secret in (OLD, NEW):
-        assert seal.open("a", version_1(secret, "a", BODY)) == BODY
+        assert seal.verify("a", version_1(secret, "a", BODY)) == BODY
     assert refusal(seal, "b", version_1(OLD, "a", BODY)) == "the signature does not match"
-    assert refusal(Seal([NEW]), "a", version_1(OLD, "a", BODY)) == "the signature does not match"
+    assert refusal(SnapshotSigner([NEW]), "a", version_1(OLD, "a", BODY)) == "the signature does not match"
 
 
 def test_secrets_rotate() -> None:
     """The first signs, all verify; one that is dropped is no longer good."""
-    before, during, after = Seal([OLD]), Seal([NEW, OLD]), Seal([NEW])
-    assert during.open("a", before.close("a", BODY)) == BODY
-    assert after.open("a", during.close("a", BODY)) == BODY
-    assert refusal(after, "a", before.close("a", BODY)) == "the signature does not match"
-    assert refusal(before, "a", during.close("a", BODY)) == "the signature does not match"
+    before, during, after = SnapshotSigner([OLD]), SnapshotSigner([NEW, OLD]), SnapshotSigner([NEW])
+    assert during.verify("a", before.sign("a", BODY)) == BODY
+    assert after.verify("a", during.sign("a", BODY)) == BODY
+    assert refusal(after, "a", before.sign("a", BODY)) == "the signature does not match"
+    assert refusal(before, "a", during.sign("a", BODY)) == "the signature does not match"
 
 
-@pytest.mark.parametrize("make", [Seal([NEW]).close, lambda owner, body: version_1(NEW, owner, body)])
+@pytest.mark.parametrize("make", [SnapshotSigner([NEW]).sign, lambda owner, body: version_1(NEW, owner, body)])
 def test_every_flipped_bit_is_refused(make: object) -> None:
-    seal = Seal([NEW])
+    seal = SnapshotSigner([NEW])
     data = make("a", BODY)  # type: ignore[operator]
     for bit in range(len(data) * 8):
         broken = bytearray(data)
@@ -66,16 +66,16 @@ def test_every_flipped_bit_is_refused(make: object) -> None:
 
 
 def test_every_other_length_is_refused() -> None:
-    seal = Seal([NEW])
-    data = seal.close("a", BODY)
+    seal = SnapshotSigner([NEW])
+    data = seal.sign("a", BODY)
     for length in range(len(data)):
         refusal(seal, "a", data[:length])
     refusal(seal, "a", data + b"\0")
 
 
 def test_another_owner_and_an_unknown_version() -> None:
-    seal = Seal([NEW])
-    data = seal.close("a", BODY)
+    seal = SnapshotSigner([NEW])
+    data = seal.sign("a", BODY)
     assert refusal(seal, "b", data) == "the signature does not match"
     for version in (0, 3, 65535):
         changed = data[:6] + struct.pack(">H", version) + data[8:]
@@ -86,7 +86,7 @@ def test_another_owner_and_an_unknown_version() -> None:
 
 @given(data=st.binary(max_size=400))
 def test_made_up_bytes_are_refused(data: bytes) -> None:
-    seal = Seal([NEW])
+    seal = SnapshotSigner([NEW])
     for start in (b"", MAGIC, MAGIC + b"\0\1", MAGIC + b"\0\2"):
         refusal(seal, "a", start + data)
 
@@ -94,8 +94,8 @@ def test_made_up_bytes_are_refused(data: bytes) -> None:
 @given(owner=st.text(max_size=6), other=st.text(max_size=6), body=st.binary(max_size=40))
 def test_owner_and_body_are_not_confused(owner: str, other: str, body: bytes) -> None:
     """No cut between the two is as good as another."""
-    seal = Seal([NEW])
-    data = seal.close(owner, other.encode() + body)
+    seal = SnapshotSigner([NEW])
+    data = seal.sign(owner, other.encode() + body)
     if owner != owner + other:
-        refusal(seal, owner + other, seal.close(owner, other.encode() + body))
-        assert seal.open(owner, data) == other.encode() + body
+        refusal(seal, owner + other, seal.sign(owner, other.encode() + body))
+        assert seal.verify(owner, data) == other.encode() + body

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from ..settings import Settings
 
 
-class Shares:
+class KeyQuotas:
     """What is set, or a share of the whole: all of it for a single owner, half where there are more.
 
     So one key never takes every place from the others, and a service with one key, or none, is used to the full.

@@ -13,8 +13,8 @@ from mfcmt_core import __version__ as core_version
 from mfcmt_core.images import FrameLimits
 
 from . import contents
-from .hosted import HostedSession, Options
-from .view import Refused
+from .frame_view import Refused
+from .lane_session import LaneSession, Options
 
 
 def versions() -> dict[str, str]:
@@ -27,14 +27,14 @@ def versions() -> dict[str, str]:
     }
 
 
-class Store:
+class LaneOperations:
     """``config`` is what the front tells its lanes when they start (see ``service.sessions.config``)."""
 
     def __init__(self, config: dict[str, Any]) -> None:
         self._limits = FrameLimits(**config["frame_limits"])
         self._max_targets: int = config["max_targets"]
         self._region_lag: int = config["region_lag"]
-        self._sessions: dict[str, HostedSession] = {}
+        self._sessions: dict[str, LaneSession] = {}
 
     def handle(self, op: str, key: str, args: dict[str, Any], data: bytes) -> Any:
         """One operation, of the closed set below. Raises Refused."""
@@ -45,7 +45,7 @@ class Store:
             case "control":
                 return self._sessions[key].control(args)
             case "create":
-                session = HostedSession(self._options(args["options"]))
+                session = LaneSession(self._options(args["options"]))
                 state = session.begin(data, args["boxes"])
                 self._sessions[key] = session
                 return state
@@ -78,8 +78,8 @@ class Store:
             raise Refused("bad-snapshot", "its contents do not fit together") from bad
         return state | {"front": told["front"], "options": told["options"]}
 
-    def _resumed(self, key: str, told: dict[str, Any]) -> HostedSession:
-        session = self._sessions[key] = HostedSession.from_dict(self._options(told["options"]), told)
+    def _resumed(self, key: str, told: dict[str, Any]) -> LaneSession:
+        session = self._sessions[key] = LaneSession.from_dict(self._options(told["options"]), told)
         return session
 
     def _options(self, chosen: dict[str, Any]) -> Options:

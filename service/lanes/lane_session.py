@@ -11,8 +11,8 @@ from mfcmt_core import MFCMT, MFCMTConfig, TrackResult
 from mfcmt_core.images import FrameError, FrameLimits
 from mfcmt_core.images.decode import decode
 
+from .frame_view import FrameView, Refused
 from .rows import Rect, covers, from_row, map_images, to_row, union
-from .view import Refused, View
 
 PRESETS: dict[str, Callable[[], MFCMTConfig]] = {"default": MFCMTConfig.default, "paper": MFCMTConfig.paper}
 
@@ -37,7 +37,7 @@ class Target:
     result: TrackResult
 
 
-class HostedSession:
+class LaneSession:
     """Every refusal leaves the session as it was."""
 
     def __init__(self, options: Options) -> None:
@@ -84,7 +84,7 @@ class HostedSession:
         view = None
         if control["type"] != "remove":
             image, _ = decode(self._newest, self._options.limits)
-            view = View(image, self._newest_at, self._size)
+            view = FrameView(image, self._newest_at, self._size)
         target = self._control(view, control, set())
         return self._state(0.0, 0.0) | {"target": target}
 
@@ -103,7 +103,7 @@ class HostedSession:
         }
 
     @classmethod
-    def from_dict(cls, options: Options, contents: dict[str, Any]) -> HostedSession:
+    def from_dict(cls, options: Options, contents: dict[str, Any]) -> LaneSession:
         """What :meth:`to_dict` wrote. Raises BadSnapshot and, for what does not fit, the usual errors."""
         session = cls(options)
         for row, tracker in contents["targets"]:
@@ -118,14 +118,14 @@ class HostedSession:
         """What the front knows of the session."""
         return self._state(0.0, 0.0)
 
-    def _attempt(self, view: View, control: dict[str, Any], fresh: set[int]) -> list[Any] | None:
+    def _attempt(self, view: FrameView, control: dict[str, Any], fresh: set[int]) -> list[Any] | None:
         try:
             self._control(view, control, fresh)
         except Refused as refused:
             return [refused.code, refused.detail, refused.members]
         return None
 
-    def _control(self, view: View | None, control: dict[str, Any], fresh: set[int]) -> int:
+    def _control(self, view: FrameView | None, control: dict[str, Any], fresh: set[int]) -> int:
         kind = control["type"]
         tid: int = self._next_id if kind == "add" else control["target"]
         if kind != "add" and tid not in self._targets:
@@ -143,14 +143,14 @@ class HostedSession:
         fresh.add(tid)
         return tid
 
-    def _add(self, view: View, box: Iterable[float]) -> None:
+    def _add(self, view: FrameView, box: Iterable[float]) -> None:
         if len(self._targets) >= self._options.max_targets:
             raise Refused("too-many-targets", f"at most {self._options.max_targets} targets")
         tracker = MFCMT(PRESETS[self._options.preset]())
         self._targets[self._next_id] = Target(tracker, view.start(tracker, box))
         self._next_id += 1
 
-    def _view(self, data: bytes, region: list[int] | None) -> View:
+    def _view(self, data: bytes, region: list[int] | None) -> FrameView:
         """The frame's pixels, once its header, its pixels and its region are found to be good."""
         try:
             image, info = decode(data, self._options.limits)
@@ -159,7 +159,9 @@ class HostedSession:
         size = (info.width, info.height)
         if self._size != (0, 0):
             self._check_place(size, region)
-        return View(image, (0, 0), size) if region is None else View(image, (region[0], region[1]), self._size)
+        return (
+            FrameView(image, (0, 0), size) if region is None else FrameView(image, (region[0], region[1]), self._size)
+        )
 
     def _check_place(self, size: tuple[int, int], region: list[int] | None) -> None:
         if region is None:
@@ -179,7 +181,7 @@ class HostedSession:
         if fault:
             raise Refused("bad-region", fault, region=needed)
 
-    def _rescaled(self, view: View) -> dict[int, Target]:
+    def _rescaled(self, view: FrameView) -> dict[int, Target]:
         """All targets started anew on a frame of another size, their boxes scaled with it."""
         across, down = view.frame_size[0] / self._size[0], view.frame_size[1] / self._size[1]
         started = {}

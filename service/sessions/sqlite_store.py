@@ -19,7 +19,7 @@ import msgpack
 import structlog
 
 from ..observability.metrics import Metrics
-from .journal import Operation
+from .replay_log import Operation
 
 FILE = "sessions.sqlite3"
 VERSION = 1
@@ -44,15 +44,15 @@ CREATE TABLE trajectory (session TEXT NOT NULL, seq INTEGER NOT NULL, entry BLOB
     PRIMARY KEY (session, seq)) WITHOUT ROWID;
 """
 
-log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.vault")
+log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.state")
 
 
-class BadState(Exception):
+class StateDirError(Exception):
     """The state directory cannot be used; the text says why and what to do."""
 
 
 @dataclass(slots=True)
-class Saved:
+class SavedSession:
     """A session as it is kept: what the front knows of it, plain; the operation that makes its state.
 
     ``entries`` are those of the trajectory since it was saved before, by rising number, the newest one then among
@@ -68,25 +68,25 @@ class Saved:
     whole: bool
 
 
-class Vault:
-    """Only :meth:`open`, :meth:`begin`, :meth:`flush` and :meth:`close` wait for the disk."""
+class SqliteStore:
+    """Only :meth:`open`, :meth:`take_over`, :meth:`flush` and :meth:`close` wait for the disk."""
 
     def __init__(self, folder: Path, metrics: Metrics) -> None:
         self._folder, self._metrics = folder, metrics
         # What is to be written, what is being written, and the sessions that the file has; None: to be removed.
-        self._waiting: dict[str, Saved | None] = {}
-        self._batch: dict[str, Saved | None] = {}
+        self._waiting: dict[str, SavedSession | None] = {}
+        self._batch: dict[str, SavedSession | None] = {}
         self._stored: set[str] = set()
         self._remains = self._closing = False
         self._told_at: float | None = None
         self._changed = threading.Condition()
-        self._thread = threading.Thread(target=self._run, name="mfcmt-vault", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="mfcmt-state-writer", daemon=True)
         self._db: sqlite3.Connection | None = None
-        self._found: list[Saved] = []
+        self._found: list[SavedSession] = []
         self._damaged: list[tuple[str, str]] = []
 
     def open(self) -> None:
-        """Open and read; again, nothing more. Raises BadState."""
+        """Open and read; again, nothing more. Raises StateDirError."""
         if self._db is not None:
             return
         try:
@@ -95,8 +95,8 @@ class Vault:
         except (OSError, sqlite3.Error) as broken:
             raise self._bad(broken) from broken
 
-    def begin(self) -> None:
-        """Take the sessions over: from now on only :meth:`save` says that one is whole. Raises BadState."""
+    def take_over(self) -> None:
+        """Take the sessions over: from now on only :meth:`save` says that one is whole. Raises StateDirError."""
         self.open()
         db = self._db
         assert db is not None
@@ -111,13 +111,13 @@ class Vault:
             raise self._bad(broken) from broken
         self._thread.start()
 
-    def take(self) -> tuple[list[Saved], list[tuple[str, str]]]:
+    def load(self) -> tuple[list[SavedSession], list[tuple[str, str]]]:
         """The sessions that were found, in the order of their making, and ids and owners of damaged ones; once."""
         found, self._found = self._found, []
         damaged, self._damaged = self._damaged, []
         return found, damaged
 
-    def save(self, saved: Saved) -> None:
+    def save(self, saved: SavedSession) -> None:
         """Have a session written; of one that still waits only the newest state is."""
         with self._changed:
             before = self._waiting.get(saved.id)
@@ -126,7 +126,7 @@ class Vault:
             self._waiting[saved.id] = saved
             self._changed.notify_all()
 
-    def forget(self, sid: str) -> None:
+    def delete(self, sid: str) -> None:
         """Have a session removed, if the file has it or is about to."""
         with self._changed:
             if sid in self._stored or sid in self._batch:
@@ -188,10 +188,10 @@ class Vault:
                 "SELECT seq, entry FROM trajectory WHERE session = ? AND seq <= ? ORDER BY seq", (sid, known["seq"])
             )
             base = Operation(op, msgpack.unpackb(args), data)
-            self._found.append(Saved(sid, owner, known, base, deque(entries), 0, bool(whole)))
+            self._found.append(SavedSession(sid, owner, known, base, deque(entries), 0, bool(whole)))
 
-    def _bad(self, broken: Exception) -> BadState:
-        return BadState(f"the state in {self._folder} cannot be used ({broken}): {_hint(broken)}")
+    def _bad(self, broken: Exception) -> StateDirError:
+        return StateDirError(f"the state in {self._folder} cannot be used ({broken}): {_hint(broken)}")
 
     def _run(self) -> None:
         assert self._db is not None
@@ -242,7 +242,7 @@ class Vault:
         with self._changed:
             newer, self._waiting, self._batch = self._waiting, self._batch, {}
             for sid, saved in newer.items():
-                self.save(saved) if saved is not None else self.forget(sid)
+                self.save(saved) if saved is not None else self.delete(sid)
             sessions = len(self._waiting)
         now = time.monotonic()
         if self._told_at is None or now - self._told_at >= TELL_EVERY_S:
@@ -298,7 +298,7 @@ def _transaction(db: sqlite3.Connection) -> Iterator[None]:
         raise
 
 
-def _joined(older: deque[tuple[int, bytes]], newer: Saved) -> deque[tuple[int, bytes]]:
+def _joined(older: deque[tuple[int, bytes]], newer: SavedSession) -> deque[tuple[int, bytes]]:
     """``older`` entries and those of ``newer``, which replace entries of the same number."""
     while older and older[0][0] < newer.first_seq:
         older.popleft()
@@ -308,7 +308,7 @@ def _joined(older: deque[tuple[int, bytes]], newer: Saved) -> deque[tuple[int, b
     return older
 
 
-def _write(db: sqlite3.Connection, batch: dict[str, Saved | None]) -> None:
+def _write(db: sqlite3.Connection, batch: dict[str, SavedSession | None]) -> None:
     with _transaction(db):
         for sid, saved in batch.items():
             if saved is None:
@@ -317,7 +317,7 @@ def _write(db: sqlite3.Connection, batch: dict[str, Saved | None]) -> None:
                 _put(db, saved)
 
 
-def _put(db: sqlite3.Connection, saved: Saved) -> None:
+def _put(db: sqlite3.Connection, saved: SavedSession) -> None:
     front, args, data = msgpack.packb(saved.front), msgpack.packb(saved.base.args), saved.base.data
     db.execute(
         "INSERT INTO session VALUES (?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (id) DO UPDATE SET front = excluded.front, "

@@ -21,7 +21,7 @@ class Refused(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class FrameView:
     """``image`` is the part of a frame of ``frame_size`` (w, h) whose top-left pixel is ``offset`` (x, y)."""
 
     image: Image

@@ -58,7 +58,7 @@ class FairQueue(Generic[T]):
         return list(self._waiting.pop(key, ()))
 
 
-class FairTurns(Generic[T]):
+class FairOwnerQueue(Generic[T]):
     """Items by owner and key: time is shared fairly between owners, and an owner's share between its keys."""
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""The book with a clock of its own and lanes that only answer: who may stay, who must go, what is remembered."""
+"""The registry with a clock of its own and lanes that only answer: who may stay, who must go, what is remembered."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
+from service.lanes.framing import decode_call, encode_reply
 from service.lanes.interface import AtCapacity, Buffers, KeysLost, LaneEvent, LaneLost, LaneStatus, LaneUsage, Place
-from service.lanes.wire import decode_call, encode_reply
 from service.observability.metrics import Metrics
 from service.problems import ProblemError
-from service.sessions.book import SessionBook
+from service.sessions.quotas import KeyQuotas
+from service.sessions.registry import SessionRegistry
 from service.sessions.session import Frame, Options, Session
-from service.sessions.shares import Shares
 from service.settings import Settings
 
 ROW = [0, [1.0, 2.0, 3.0, 4.0], "tracking", None, None, None, None, True, 1.0]
@@ -78,13 +78,13 @@ class Lanes:
 async def test_who_comes_before_a_lane_is_ready_is_told_so() -> None:
     lanes = Lanes(0)
     lanes.ready = False
-    book = SessionBook(Settings(), lanes, Metrics())
+    registry = SessionRegistry(Settings(), lanes, Metrics())
     with pytest.raises(ProblemError, match="no lane is ready yet: the service has just started") as refused:
-        await book.create("a", b"", [], Options("default", "reject", None, False, 60), None)
+        await registry.create("a", b"", [], Options("default", "reject", None, False, 60), None)
     assert (refused.value.code, refused.value.members) == ("at-capacity", {"retry_after_s": 1.0})
     lanes.ready = True
     with pytest.raises(ProblemError, match="no place for another session"):
-        await book.create("a", b"", [], Options("default", "reject", None, False, 60), None)
+        await registry.create("a", b"", [], Options("default", "reject", None, False, 60), None)
 
 
 class Stream:
@@ -104,18 +104,18 @@ class Stream:
 
 
 class World:
-    """A book, its lanes and its clock."""
+    """A registry, its lanes and its clock."""
 
     def __init__(self, places: int = 2, **settings: Any) -> None:
         self.now = 1000.0
         self.lanes = Lanes(places)
         chosen = {"idle_timeout_s": 10, "attached_idle_timeout_s": 50, "max_session_s": 100, "tombstone_s": 30}
         self.settings = Settings(**chosen | settings)
-        self.book = SessionBook(self.settings, self.lanes, Metrics(), lambda: self.now)
+        self.registry = SessionRegistry(self.settings, self.lanes, Metrics(), lambda: self.now)
 
     async def create(self, owner: str = "me", key: str | None = None, idle_s: float = 10) -> Session:
         options = Options("default", "reject", None, False, idle_s)
-        return await self.book.create(owner, b"frame", [[1, 2, 3, 4]], options, key)
+        return await self.registry.create(owner, b"frame", [[1, 2, 3, 4]], options, key)
 
 
 def code_of(refused: pytest.ExceptionInfo[ProblemError]) -> tuple[str, Any]:
@@ -124,7 +124,7 @@ def code_of(refused: pytest.ExceptionInfo[ProblemError]) -> tuple[str, Any]:
 
 def gone(world: World, session: Session, owner: str = "me") -> tuple[str, Any]:
     with pytest.raises(ProblemError) as refused:
-        world.book.find(owner, session.id)
+        world.registry.find(owner, session.id)
     return code_of(refused)
 
 
@@ -136,7 +136,7 @@ async def test_the_expired_go_before_anyone_is_refused_and_the_living_stay() -> 
     world.now += 6
     new = await world.create()
     assert gone(world, idle) == ("session-gone", "idle")
-    assert world.book.find("me", living.id) is living
+    assert world.registry.find("me", living.id) is living
     with pytest.raises(ProblemError) as refused:
         await world.create()
     assert refused.value.code == "at-capacity"
@@ -149,7 +149,7 @@ async def test_calls_keep_a_session_and_nothing_keeps_it_for_ever() -> None:
     session = await world.create()
     for _ in range(19):
         world.now += 5
-        assert world.book.find("me", session.id) is session
+        assert world.registry.find("me", session.id) is session
     world.now += 6
     assert gone(world, session) == ("session-gone", "expired")
 
@@ -160,10 +160,10 @@ async def test_a_stream_has_a_time_of_its_own() -> None:
     stream = Stream()
     session.attachment = stream
     world.now += 40
-    world.book.sweep()
+    world.registry.sweep()
     assert stream.ends == []
     world.now += 11
-    world.book.sweep()
+    world.registry.sweep()
     assert stream.ends == [4408]
     assert session.ended == "idle"
 
@@ -174,7 +174,7 @@ async def test_streams_are_closed_with_the_code_of_the_end(reason: str, close: i
     session = await world.create()
     stream = Stream()
     session.attachment = stream
-    world.book.end(session, reason)
+    world.registry.end(session, reason)
     assert stream.ends == [close]
     assert gone(world, session) == ("session-gone", reason)
     with pytest.raises(ProblemError) as refused:
@@ -185,19 +185,19 @@ async def test_streams_are_closed_with_the_code_of_the_end(reason: str, close: i
 async def test_tombstones_are_for_the_owner_and_fade() -> None:
     world = World(max_tombstones=2)
     session = await world.create()
-    world.book.close("me", session.id)
-    world.book.close("me", session.id)
+    world.registry.close("me", session.id)
+    world.registry.close("me", session.id)
     assert gone(world, session) == ("session-gone", "closed")
     assert gone(world, session, "other") == ("session-not-found", None)
     with pytest.raises(ProblemError, match="session-not-found"):
-        world.book.close("other", session.id)
+        world.registry.close("other", session.id)
     world.now += 31
     assert gone(world, session) == ("session-not-found", None)
     ended = [await world.create() for _ in range(2)]
     for one in ended:
-        world.book.close("me", one.id)
+        world.registry.close("me", one.id)
     third = await world.create()
-    world.book.close("me", third.id)
+    world.registry.close("me", third.id)
     assert gone(world, ended[0]) == ("session-not-found", None)
     assert gone(world, third) == ("session-gone", "closed")
 
@@ -205,13 +205,13 @@ async def test_tombstones_are_for_the_owner_and_fade() -> None:
 async def test_the_sessions_of_a_lost_lane_are_restored() -> None:
     world = World()
     dead, alive = await world.create(), await world.create()
-    follower = asyncio.create_task(world.book.follow_lanes())
+    follower = asyncio.create_task(world.registry.follow_lanes())
     world.lanes.keys.discard(dead.id)
     world.lanes.lost.put_nowait(KeysLost(0, "died", (dead.id, "never-known")))
     await asyncio.sleep(0.01)
     follower.cancel()
     assert world.lanes.keys == {dead.id, alive.id}
-    assert world.book.find("me", dead.id) is dead
+    assert world.registry.find("me", dead.id) is dead
 
 
 async def test_a_refused_creation_leaves_no_trace() -> None:
@@ -230,11 +230,11 @@ async def test_the_same_key_makes_one_session() -> None:
     world = World(places=5)
     made: Sequence[Session] = await asyncio.gather(*(world.create(key="k") for _ in range(4)))
     assert len({s.id for s in made}) == 1
-    assert len(world.book) == 1
+    assert len(world.registry) == 1
     assert (await world.create("other", key="k")).id != made[0].id
     options = Options("paper", "reject", None, False, 10)
     with pytest.raises(ProblemError, match="bad-request"):
-        await world.book.create("me", b"frame", [[1, 2, 3, 4]], options, "k")
+        await world.registry.create("me", b"frame", [[1, 2, 3, 4]], options, "k")
     world.now += 601
     assert (await world.create(key="k")).id != made[0].id
 
@@ -248,7 +248,7 @@ async def test_a_lane_that_dies_under_a_creation_is_made_up_for() -> None:
 
     world.lanes.reserve = lose  # type: ignore[method-assign]
     session = await world.create()
-    assert world.book.find("me", session.id) is session
+    assert world.registry.find("me", session.id) is session
     assert world.lanes.keys == {session.id}
 
 
@@ -256,31 +256,33 @@ async def test_one_key_leaves_half_of_the_places_to_the_others() -> None:
     """As soon as there are others; what is set goes before it."""
     owners = 1
     world = World(places=8, lanes=2, max_sessions_per_lane=4)
-    book = world.book = SessionBook(world.settings, world.lanes, Metrics(), lambda: world.now, lambda: owners)
+    registry = world.registry = SessionRegistry(
+        world.settings, world.lanes, Metrics(), lambda: world.now, lambda: owners
+    )
     made = [await world.create() for _ in range(8)]
-    assert (book.shares.sessions, book.shares.streams) == (8, world.settings.max_streams)
+    assert (registry.shares.sessions, registry.shares.streams) == (8, world.settings.max_streams)
     owners = 2
-    assert (book.shares.sessions, book.shares.streams) == (4, world.settings.max_streams // 2)
+    assert (registry.shares.sessions, registry.shares.streams) == (4, world.settings.max_streams // 2)
     for session in made[:4]:
-        book.close("me", session.id)
+        registry.close("me", session.id)
     with pytest.raises(ProblemError, match="over-quota: at most 4 sessions"):
         await world.create()
     for _ in range(4):
         await world.create("other")
     tight = Settings(lanes=1, max_sessions_per_lane=1)
-    assert Shares(tight, lambda: 5).sessions == 1
+    assert KeyQuotas(tight, lambda: 5).sessions == 1
     chosen = Settings(max_sessions_per_key=3, max_streams_per_key=2)
-    assert (Shares(chosen, lambda: 5).sessions, Shares(chosen, lambda: 1).streams) == (3, 2)
+    assert (KeyQuotas(chosen, lambda: 5).sessions, KeyQuotas(chosen, lambda: 1).streams) == (3, 2)
 
 
 async def test_pages_go_on_where_they_ended() -> None:
     world = World(places=10)
     made = [await world.create() for _ in range(5)]
     await world.create("other")
-    first, after = world.book.owned("me", 0, 2)
-    world.book.close("me", made[1].id)
+    first, after = world.registry.list_owned("me", 0, 2)
+    world.registry.close("me", made[1].id)
     assert after is not None
-    second, end = world.book.owned("me", after, 10)
+    second, end = world.registry.list_owned("me", after, 10)
     assert [s.id for s in first + second] == [s.id for s in made]
     assert end is None
 
@@ -288,10 +290,10 @@ async def test_pages_go_on_where_they_ended() -> None:
 async def test_no_new_sessions_while_draining() -> None:
     world = World()
     session = await world.create()
-    world.book.drain(lambda: 1.0)
+    world.registry.drain(lambda: 1.0)
     with pytest.raises(ProblemError, match="draining"):
         await world.create()
-    assert world.book.find("me", session.id) is session
+    assert world.registry.find("me", session.id) is session
 
 
 async def test_one_operation_of_a_session_at_a_time() -> None:
@@ -321,7 +323,7 @@ async def test_a_key_that_is_remembered_keeps_no_session() -> None:
     world = World()
     session = await world.create(key="k")
     gone = weakref.ref(session)
-    world.book.close("me", session.id)
+    world.registry.close("me", session.id)
     del session
     gc.collect()
     assert gone() is None
@@ -345,21 +347,21 @@ class Held(Lanes):
 async def test_a_session_does_not_end_idle_while_its_frame_is_in_work() -> None:
     world = World()
     world.lanes = Held(2)
-    world.book = SessionBook(world.settings, world.lanes, Metrics(), lambda: world.now)
+    world.registry = SessionRegistry(world.settings, world.lanes, Metrics(), lambda: world.now)
     session = await world.create()
     tracking = asyncio.create_task(session.track(Frame(b"", session.number(None), None, None, 0.0, 0.0)))
     await asyncio.sleep(0)
     world.now += 11
-    world.book.sweep()
-    assert world.book.find("me", session.id) is session
+    world.registry.sweep()
+    assert world.registry.find("me", session.id) is session
     world.now += 11
     world.lanes.open.set()
     assert (await tracking)[0]["seq"] == 1
     world.now += 9
-    world.book.sweep()
+    world.registry.sweep()
     assert session.ended is None
     world.now += 2
-    world.book.sweep()
+    world.registry.sweep()
     assert session.ended == "idle"
 
 
@@ -368,12 +370,12 @@ async def test_a_session_does_not_end_idle_while_its_frame_is_being_received() -
     session = await world.create()
     with session.in_use():
         world.now += 11
-        world.book.sweep()
+        world.registry.sweep()
     world.now += 9
-    world.book.sweep()
+    world.registry.sweep()
     assert session.ended is None
     world.now += 2
-    world.book.sweep()
+    world.registry.sweep()
     assert session.ended == "idle"
 
 
@@ -386,7 +388,7 @@ async def test_a_restored_session_has_no_longer_idle_time_than_is_allowed_here()
         return encode_reply(None, told)
 
     world.lanes.call = restored  # type: ignore[method-assign]
-    session = await world.book.restore("me", b"snapshot", None)
+    session = await world.registry.restore("me", b"snapshot", None)
     assert session.options.idle_timeout_s == 60
 
 
@@ -394,8 +396,8 @@ async def test_one_tenant_pushes_out_nothing_that_is_remembered_of_another() -> 
     world = World(places=5, max_tombstones=2, max_idempotency_keys=2)
     theirs = await world.create("other", key="k")
     ended = await world.create("other")
-    world.book.close("other", ended.id)
+    world.registry.close("other", ended.id)
     for number in range(5):
-        world.book.close("me", (await world.create(key=f"k{number}")).id)
+        world.registry.close("me", (await world.create(key=f"k{number}")).id)
     assert gone(world, ended, "other") == ("session-gone", "closed")
     assert await world.create("other", key="k") is theirs

@@ -1,4 +1,4 @@
-"""The book: every session, who owns it, when it ends and what is remembered of it."""
+"""The registry: every session, who owns it, when it ends and what is remembered of it."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from ..lanes.interface import AtCapacity, KeysLost, LaneCrowded, Lanes
 from ..observability.metrics import Metrics
 from ..problems import NO_LANE, NO_PLACE, ProblemError, session_gone, session_not_found
 from ..settings import Settings
-from .idempotency import Creations
-from .keeper import Keeper, created_at_of, options_of
-from .memory import Memory
+from .idempotency import IdempotentCreations
+from .quotas import KeyQuotas
 from .session import Attachment, Options, Session
-from .shares import Shares
+from .store import SessionStore, created_at_of, options_of
+from .ttl_cache import TTLCache
 
 SWEEP_EVERY_S = 0.5
 ID_BYTES = 18
@@ -40,7 +40,7 @@ class Tombstone:
     detail: str = ""
 
 
-class SessionBook:
+class SessionRegistry:
     """All sessions of the service.
 
     ``clock`` gives seconds of a monotonic clock, ``owners`` how many there are that keys stand for.
@@ -55,12 +55,12 @@ class SessionBook:
         owners: Callable[[], int] = lambda: 1,
     ) -> None:
         self.draining = False
-        self.shares = Shares(settings, owners)
+        self.shares = KeyQuotas(settings, owners)
         self._settings, self._lanes, self._metrics, self._clock = settings, lanes, metrics, clock
-        self.keeper = Keeper(settings, lanes, metrics)
+        self.store = SessionStore(settings, lanes, metrics)
         self._sessions: dict[str, Session] = {}
-        self._tombstones: Memory[Tombstone] = Memory(settings.max_tombstones, settings.tombstone_s, clock)
-        self._creations = Creations(settings.max_idempotency_keys, settings.idempotency_s, clock)
+        self._tombstones: TTLCache[Tombstone] = TTLCache(settings.max_tombstones, settings.tombstone_s, clock)
+        self._creations = IdempotentCreations(settings.max_idempotency_keys, settings.idempotency_s, clock)
         self._opening: Counter[str] = Counter()
         self._ordinal = 0
 
@@ -81,7 +81,7 @@ class SessionBook:
         session.touch()
         return session
 
-    def owned(self, owner: str, after: int, limit: int) -> tuple[list[Session], int | None]:
+    def list_owned(self, owner: str, after: int, limit: int) -> tuple[list[Session], int | None]:
         """The caller's sessions in the order of their making, and where the next page begins."""
         mine = [s for s in self._sessions.values() if s.owner == owner and s.ordinal > after]
         page = mine[:limit]
@@ -118,7 +118,7 @@ class SessionBook:
                 told = await session.resume(snapshot)
                 idle_s = self._longest_idle(told["idle_timeout_s"])
                 session.options = Options(told["preset"], told["on_resize"], told["label"], told["maps"], idle_s)
-                self.keeper.safe(session)
+                self.store.save(session)
             return session.id
 
         return self.find(owner, await self._creations.once(owner, key, snapshot, "snapshot", make))
@@ -143,14 +143,14 @@ class SessionBook:
         return datetime.now(UTC) + timedelta(seconds=max(0.0, left))
 
     async def load(self) -> None:
-        """Take up the sessions that another process has left. Raises BadState."""
-        await asyncio.to_thread(self.keeper.begin)
-        saved, damaged = self.keeper.take()
+        """Take up the sessions that another process has left. Raises StateDirError."""
+        await asyncio.to_thread(self.store.take_over)
+        saved, damaged = self.store.load()
         for one in saved:
             options = options_of(one)
             options = replace(options, idle_timeout_s=self._longest_idle(options.idle_timeout_s))
             session = self._session(one.id, one.owner, options, created_at_of(one))
-            self.keeper.fill(session, one)
+            self.store.restore_into(session, one)
             self._sessions[one.id] = session
             session.revive()
         for sid, owner in damaged:
@@ -163,13 +163,13 @@ class SessionBook:
         """No new sessions from now on; every stream is told, and ends when sessions outlive the process."""
         self.draining = True
         for attachment in self._attachments():
-            attachment.tell({"type": "draining", "reconnect_in_s": reconnect_in_s(), "resumable": self.keeper.durable})
-            if self.keeper.durable:
+            attachment.tell({"type": "draining", "reconnect_in_s": reconnect_in_s(), "resumable": self.store.durable})
+            if self.store.durable:
                 attachment.finish(1012, "service restart")
 
-    async def park(self) -> None:
+    async def save_all(self) -> None:
         """Write all sessions to the state directory."""
-        await self.keeper.park(self._sessions.values())
+        await self.store.save_all(self._sessions.values())
 
     def streams(self) -> int:
         """Attached streams."""
@@ -197,7 +197,7 @@ class SessionBook:
         self._tombstones.sweep()
         self._creations.sweep()
 
-    async def keep(self) -> None:
+    async def run_sweeper(self) -> None:
         """Sweep, for as long as the service runs."""
         while True:
             await asyncio.sleep(SWEEP_EVERY_S)
@@ -221,7 +221,7 @@ class SessionBook:
     def _revive_lost(self) -> None:
         """Restore the sessions that no lane has, those too that gave up waiting for one."""
         for session in self._sessions.values():
-            if not session.lane.held:
+            if not session.lane.has_lane:
                 session.revive()
 
     def _open(self, owner: str, options: Options) -> Session:
@@ -229,7 +229,7 @@ class SessionBook:
         if self.draining:
             raise self._unavailable("draining", self._settings.drain_grace_s)
         self._check_quota(owner)
-        if self.keeper.budget.spent:
+        if self.store.budget.spent:
             raise self._unavailable("at-capacity", 1.0, "no memory for another session")
         sid = secrets.token_urlsafe(ID_BYTES)
         try:
@@ -250,8 +250,8 @@ class SessionBook:
             sid,
             owner,
             options,
-            self.keeper.lane_state(sid, owner),
-            on_safe=self.keeper.safe,
+            self.store.lane_state(sid, owner),
+            on_saveable=self.store.save,
             on_poison=lambda session, detail: self._end(session, "lost", detail),
             ordinal=self._ordinal,
             created=self._clock() - max(0.0, (datetime.now(UTC) - created_at).total_seconds()),
@@ -267,7 +267,7 @@ class SessionBook:
             yield
         except BaseException as failed:
             self._lanes.release(session.id)
-            self.keeper.forget(session)
+            self.store.delete(session)
             if isinstance(failed, ProblemError) and failed.code == "session-gone":
                 # Its lane died under it: for the client there never was a session.
                 raise self._unavailable("at-capacity", 1.0, "its lane ended as the session began") from failed
@@ -316,7 +316,7 @@ class SessionBook:
         session.ended = reason
         self._sessions.pop(session.id, None)
         self._lanes.release(session.id)
-        self.keeper.forget(session)
+        self.store.delete(session)
         self._tombstones.put(session.owner, session.id, Tombstone(session.owner, reason, detail))
         self._metrics.sessions_closed.labels(reason=reason).inc()
         log.info("session ended", session=session.id, reason=reason, detail=detail, seq=session.seq)
