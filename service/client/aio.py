@@ -13,12 +13,24 @@ import httpx2
 import msgpack
 
 from .address import Address
-from .attach import Attachment
+from .connect import Connector
 from .connection import Protocol, problem_of
 from .errors import ConnectionLost, Problem
 from .sources import as_frame, image_bytes, numbers
 from .stream import AsyncStream
-from .types import Frame, Image, Mode, Region, Result, Resumed, SessionInfo, TargetChange, Ticket
+from .types import (
+    Frame,
+    Image,
+    Mode,
+    Region,
+    Result,
+    Resumed,
+    SessionInfo,
+    TargetChange,
+    Ticket,
+    read_answer,
+    read_past_result,
+)
 
 T = TypeVar("T")
 MSGPACK = "application/msgpack"
@@ -95,7 +107,7 @@ class AsyncClient:
 
     async def session(self, session_id: str) -> AsyncSession:
         """A session that exists."""
-        return AsyncSession(self, SessionInfo.of(await self.json("GET", f"/v1/sessions/{session_id}")))
+        return AsyncSession(self, read_answer(SessionInfo, await self.json("GET", f"/v1/sessions/{session_id}")))
 
     async def sessions(self) -> AsyncIterator[SessionInfo]:
         """The caller's own sessions."""
@@ -103,7 +115,7 @@ class AsyncClient:
         while True:
             page = await self.json("GET", "/v1/sessions", params={} if after is None else {"after": after})
             for session in page["sessions"]:
-                yield SessionInfo.of(session)
+                yield read_answer(SessionInfo, session)
             after = page.get("next")
             if after is None:
                 return
@@ -155,7 +167,7 @@ class AsyncClient:
                     raise
                 await asyncio.sleep(min(refused.retry_after_s, max(0.0, give_up - time.monotonic())))
             else:
-                return AsyncSession(self, SessionInfo.of(made))
+                return AsyncSession(self, read_answer(SessionInfo, made))
 
     def _attached(self, stream: AsyncStream[T]) -> AsyncStream[T]:
         self._streams.add(stream)
@@ -182,7 +194,7 @@ class AsyncSession:
 
     async def refresh(self) -> SessionInfo:
         """Ask the server for the session again."""
-        self.info = SessionInfo.of(await self._client.json("GET", self._path))
+        self.info = read_answer(SessionInfo, await self._client.json("GET", self._path))
         return self.info
 
     async def close(self) -> None:
@@ -196,17 +208,19 @@ class AsyncSession:
         body = {"frame": frame.data, "seq": frame.seq, "ts": frame.ts, "region": frame.region}
         packed = msgpack.packb({name: value for name, value in body.items() if value is not None})
         headers = {"Content-Type": MSGPACK}
-        return Result.of(await self._client.json("POST", f"{self._path}/frames", content=packed, headers=headers))
+        answer = await self._client.json("POST", f"{self._path}/frames", content=packed, headers=headers)
+        return read_answer(Result, answer)
 
     async def add_target(self, box: Iterable[float]) -> TargetChange:
         """Start another target on the newest frame."""
         body = {"box": numbers(box)}
-        return TargetChange.of(await self._client.json("POST", f"{self._path}/targets", json=body))
+        return read_answer(TargetChange, await self._client.json("POST", f"{self._path}/targets", json=body))
 
     async def correct_target(self, target: int, box: Iterable[float]) -> TargetChange:
         """Put a target right on the newest frame."""
         body = {"box": numbers(box)}
-        return TargetChange.of(await self._client.json("PUT", f"{self._path}/targets/{target}", json=body))
+        answer = await self._client.json("PUT", f"{self._path}/targets/{target}", json=body)
+        return read_answer(TargetChange, answer)
 
     async def remove_target(self, target: int) -> None:
         """Stop tracking a target."""
@@ -235,7 +249,7 @@ class AsyncSession:
         answer = await self._client.call("GET", f"{self._path}/trajectory", params=params)
         if format != "json":
             return answer.text
-        return [Result.of(result) for result in answer.json()["results"]]
+        return [read_past_result(result) for result in answer.json()["results"]]
 
     async def snapshot(self) -> bytes:
         """The session's whole state, for :meth:`AsyncClient.restore`."""
@@ -244,7 +258,7 @@ class AsyncSession:
     async def ticket(self, ttl_s: float | None = None) -> Ticket:
         """A ticket that admits a browser's next handshake to this session."""
         body = {} if ttl_s is None else {"ttl_s": ttl_s}
-        return Ticket.of(await self._client.json("POST", f"{self._path}/ticket", json=body))
+        return read_answer(Ticket, await self._client.json("POST", f"{self._path}/ticket", json=body))
 
     def stream(
         self,
@@ -268,7 +282,7 @@ class AsyncSession:
         service and while others that do not know the session stand in for it, for ``reconnect_for_s`` seconds at
         most. Leaving the loop early ends the attachment. See :class:`AsyncStream` for the rest.
         """
-        attachment = Attachment(self._client.address, self.id, mode, protocol, takeover, ticket, reconnect_for_s)
+        connector = Connector(self._client.address, self.id, mode, protocol, takeover, ticket, reconnect_for_s)
 
         async def missed(after: int) -> list[Result]:
             return await self.trajectory(after=after)
@@ -276,4 +290,4 @@ class AsyncSession:
         async def settle() -> None:
             await self._client.settle(self.id)
 
-        return self._client._attached(AsyncStream(attachment, frames, encode, on_refused, on_resumed, missed, settle))
+        return self._client._attached(AsyncStream(connector, frames, encode, on_refused, on_resumed, missed, settle))

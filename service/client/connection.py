@@ -1,4 +1,4 @@
-"""One attachment of a session over one WebSocket, as it is: no waiting for credit, no reconnecting."""
+"""One connection of a stream, as it is: it does not wait for credit and does not reconnect."""
 
 from __future__ import annotations
 
@@ -6,17 +6,20 @@ import json
 from collections.abc import Mapping
 from typing import Any, Literal, cast
 
-import msgpack
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketException
 from websockets.typing import Subprotocol
 
+from ..protocol import answers
+from ..protocol.codecs import CODECS, Codec
 from .address import Address
 from .errors import ConnectionLost, Problem, of_close
-from .types import Draining, Frame, Mode, Ready, Result, Targets
+from .types import Draining, Frame, Mode, Ready, Result, Targets, read_answer
 
 Protocol = Literal["mfcmt.v1.msgpack", "mfcmt.v1.json"]
 Message = Ready | Result | Targets | Draining | Problem
+
+MESSAGES: dict[str, type[Any]] = {kind.TYPE: kind for kind in answers.STREAM_MESSAGES}
 
 MAX_MESSAGE_BYTES = 64 * 1024 * 1024
 
@@ -24,9 +27,9 @@ MAX_MESSAGE_BYTES = 64 * 1024 * 1024
 class Connection:
     """An open attachment; made by :meth:`open`."""
 
-    def __init__(self, socket: ClientConnection, binary: bool) -> None:
+    def __init__(self, socket: ClientConnection, codec: Codec) -> None:
         self._socket = socket
-        self._binary = binary
+        self._codec = codec
 
     @classmethod
     async def open(
@@ -42,8 +45,21 @@ class Connection:
     ) -> Connection:
         """Attach to a session; the first message is ``ready``.
 
-        ``takeover`` ends another attachment, ``resume`` only the one of that name. Raises
-        :class:`Problem` when the server refuses, :class:`ConnectionLost` when it cannot be reached.
+        Parameters
+        ----------
+        ticket
+            Admits this handshake, in place of the address's key.
+        takeover
+            End another attachment of the session.
+        resume
+            End the attachment of this name, and no other.
+
+        Raises
+        ------
+        Problem
+            The service refuses.
+        ConnectionLost
+            The service cannot be reached.
         """
         query: dict[str, str] = {"mode": mode}
         if takeover:
@@ -70,35 +86,35 @@ class Connection:
             ) from refused
         except (OSError, TimeoutError, EOFError, WebSocketException) as failed:
             raise ConnectionLost(f"cannot attach: {address.failed(failed)}") from failed
-        return cls(socket, binary=protocol == "mfcmt.v1.msgpack")
+        return cls(socket, CODECS[protocol])
 
     async def send_frame(self, frame: Frame) -> None:
         """Send one frame. Raises what :meth:`receive` raises."""
-        beside = {"seq": frame.seq, "ts": frame.ts, "region": frame.region}
-        beside = {name: value for name, value in beside.items() if value is not None}
-        if self._binary:
-            await self._send(msgpack.packb({"type": "frame", "frame": frame.data, **beside}))
-            return
-        if beside:
-            await self._send(json.dumps({"type": "meta", **beside}))
-        await self._send(frame.data)
+        meta = {"seq": frame.seq, "ts": frame.ts, "region": frame.region}
+        meta = {name: value for name, value in meta.items() if value is not None}
+        for message in self._codec.frame(frame.data, meta):
+            await self._send(message)
 
     async def send_control(self, control: Mapping[str, Any]) -> None:
         """Send ``add``, ``correct`` or ``remove``. Raises what :meth:`receive` raises."""
-        await self._send(msgpack.packb(control) if self._binary else json.dumps(control))
+        await self._send(self._codec.encode(control))
 
     async def receive(self) -> Message:
-        """The next message; a refused one is returned as a :class:`Problem`, not raised.
+        """Return the next message; the refusal of a message is returned as a :class:`Problem`, not raised.
 
-        Raises :class:`Problem` when the server has ended the attachment for good and
-        :class:`ConnectionLost` when it may be resumed.
+        Raises
+        ------
+        Problem
+            The service has ended the attachment for good.
+        ConnectionLost
+            The connection broke; the stream may be resumed.
         """
         while True:
             try:
                 data = await self._socket.recv()
             except ConnectionClosed as closed:
                 raise _of_closed(closed) from closed
-            message = _message(msgpack.unpackb(data) if isinstance(data, bytes) else json.loads(data))
+            message = _message(self._codec.decode(data))
             if message is not None:
                 return message
 
@@ -113,20 +129,15 @@ class Connection:
             raise _of_closed(closed) from closed
 
 
-def _message(wire: Any) -> Message | None:
-    match wire["type"]:
-        case "result":
-            return Result.of(wire)
-        case "error":
-            return Problem(wire["problem"], seq=wire.get("seq"), ref=wire.get("ref"))
-        case "targets":
-            return Targets.of(wire)
-        case "ready":
-            return Ready.of(wire)
-        case "draining":
-            return Draining(wire["reconnect_in_s"], wire.get("resumable", True))
-        case _:  # of a newer server
-            return None
+def _message(sent: Any) -> Message | None:
+    """Return a message of the service; None for one of a type that only a newer service has."""
+    kind = MESSAGES.get(sent["type"])
+    if kind is None:
+        return None
+    if kind is answers.Error:
+        return Problem(sent["problem"], seq=sent.get("seq"), ref=sent.get("ref"))
+    message: Message = read_answer(kind, sent)
+    return message
 
 
 def _of_closed(closed: ConnectionClosed) -> Problem | ConnectionLost:
@@ -135,7 +146,10 @@ def _of_closed(closed: ConnectionClosed) -> Problem | ConnectionLost:
 
 
 def problem_of(status: int, body: bytes, way: str = "") -> Problem:
-    """The problem in an HTTP answer; of any other body, a proxy's say, the status and the ``way`` are told."""
+    """Return the problem in an HTTP answer.
+
+    For any other body, such as a proxy's, it holds the status and the ``way`` to the service.
+    """
     try:
         members = json.loads(body)
         return Problem({"status": status} | members)

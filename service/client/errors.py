@@ -1,24 +1,39 @@
-"""What the client raises."""
+"""The exceptions of the client."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
+from ..protocol.enums import CloseCode, EndReason, ProblemCode
+from ..protocol.problems import CATALOGUE
+
 
 class ClientError(Exception):
-    """Base of what the client raises."""
+    """Base of all exceptions that the client raises."""
 
 
 class ConnectionLost(ClientError):
-    """The server could not be reached, or not again within the time given to reconnecting."""
+    """The service could not be reached, or not again within the time given to reconnecting."""
 
 
 class Problem(ClientError):
-    """The server refused: an RFC 9457 problem of the protocol's catalogue, or a close code that means one.
+    """The service refused: an RFC 9457 problem of the protocol's catalogue, or a close code that means one.
 
-    ``seq`` or ``ref`` names the stream's message that was refused, ``reason`` how a session ended,
-    ``region`` what a region must cover. ``members`` is the whole problem as it came.
+    Attributes
+    ----------
+    code, status, detail
+        The problem's code, its HTTP status, and what is wrong.
+    retry_after_s
+        Seconds after which trying again makes sense; None where the service does not say.
+    reason
+        How a session ended: ``closed``, ``idle``, ``expired`` or ``lost``.
+    region
+        What a region must cover.
+    seq, ref
+        The message of a stream that was refused.
+    members
+        The whole problem as it came.
     """
 
     def __init__(self, members: Mapping[str, Any], *, seq: int | None = None, ref: Any = None) -> None:
@@ -37,21 +52,25 @@ class Problem(ClientError):
         self.ref = ref
 
 
-_BY_CLOSE_CODE: dict[int, dict[str, Any]] = {
-    1000: {"code": "session-gone", "status": 410, "reason": "closed"},
-    1009: {"code": "frame-too-large", "status": 413},
-    4400: {"code": "bad-request", "status": 400},
-    4401: {"code": "unauthenticated", "status": 401},
-    4403: {"code": "origin-refused", "status": 403},
-    4404: {"code": "session-not-found", "status": 404},
-    4408: {"code": "session-gone", "status": 410, "reason": "idle"},
-    4409: {"code": "attached-elsewhere", "status": 409},
-    4410: {"code": "session-gone", "status": 410},
-    4429: {"code": "rate-limited", "status": 429},
+# What a close code means; a connection that is closed with any other may be resumed.
+_BY_CLOSE_CODE: dict[int, tuple[ProblemCode, EndReason | None]] = {
+    CloseCode.SESSION_CLOSED: (ProblemCode.SESSION_GONE, EndReason.CLOSED),
+    CloseCode.MESSAGE_TOO_LARGE: (ProblemCode.FRAME_TOO_LARGE, None),
+    CloseCode.UNREADABLE: (ProblemCode.BAD_REQUEST, None),
+    CloseCode.UNAUTHENTICATED: (ProblemCode.UNAUTHENTICATED, None),
+    CloseCode.REFUSED: (ProblemCode.ORIGIN_REFUSED, None),
+    CloseCode.NOT_FOUND: (ProblemCode.SESSION_NOT_FOUND, None),
+    CloseCode.IDLE: (ProblemCode.SESSION_GONE, EndReason.IDLE),
+    CloseCode.ATTACHED_ELSEWHERE: (ProblemCode.ATTACHED_ELSEWHERE, None),
+    CloseCode.SESSION_GONE: (ProblemCode.SESSION_GONE, None),
+    CloseCode.RATE_LIMITED: (ProblemCode.RATE_LIMITED, None),
 }
 
 
 def of_close(code: int, detail: str) -> Problem | None:
-    """What the server meant by closing a stream with ``code``; None where reconnecting may help."""
-    members = _BY_CLOSE_CODE.get(code)
-    return None if members is None else Problem(members | {"detail": detail or f"closed with {code}"})
+    """Return what the service meant by closing a stream with ``code``; None where reconnecting may help."""
+    if code not in _BY_CLOSE_CODE:
+        return None
+    problem, reason = _BY_CLOSE_CODE[code]
+    members = {"code": problem.value, "status": CATALOGUE[problem].status, "detail": detail or f"closed with {code}"}
+    return Problem(members if reason is None else members | {"reason": reason.value})

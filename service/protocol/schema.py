@@ -34,9 +34,13 @@ _OPEN = (answers.ProblemDocument.__name__,)
 _TAGGED = {kind.__name__: kind for kind in (*answers.STREAM_MESSAGES, *requests.STREAM_MESSAGES)}
 
 
-@cache
 def adapter(kind: type[T]) -> TypeAdapter[T]:
     """Return what reads plain values as ``kind``: ``adapter(SessionInfo).validate_python(answer)``."""
+    return _adapter(kind)  # type: ignore[arg-type]
+
+
+@cache
+def _adapter(kind: Any) -> TypeAdapter[Any]:
     return TypeAdapter(kind)
 
 

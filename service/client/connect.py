@@ -1,4 +1,4 @@
-"""Attaching to a session, at first and again after a break."""
+"""Attaches to a session: at first, and again after a break."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ FIRST_DELAY_S, LONGEST_DELAY_S = 0.05, 5.0
 
 
 @dataclass(frozen=True, slots=True)
-class Attachment:
-    """Which session is attached to, how, and for how long a broken connection is tried again."""
+class Connector:
+    """Attaches to one session, and again after a break for ``reconnect_for_s`` seconds at most."""
 
     address: Address
     session_id: str
@@ -33,15 +33,26 @@ class Attachment:
         return await self._open(self.takeover, self.ticket, None)
 
     async def reopen(
-        self, before: Ready, told: Draining, take_up: Callable[[Connection, Ready], Awaitable[None]]
+        self, before: Ready, draining: Draining, take_up: Callable[[Connection, Ready], Awaitable[None]]
     ) -> Connection:
-        """Attach again and ``take_up`` where the stream was, with back-off, after the pause that was ``told``.
+        """Attach again, with back-off, after the pause that the service asked for.
 
-        Takes over nothing but what ``before`` and the attempts began. Raises what ended the last attempt, when it
-        cannot pass or the time is over.
+        Parameters
+        ----------
+        before
+            What the service said on attaching; only that attachment, and those of the attempts, are taken over.
+        draining
+            What the service said before the connection broke, if it did.
+        take_up
+            Makes the stream go on with the new connection; an attempt in which it fails has failed.
+
+        Raises
+        ------
+        ClientError
+            What ended the last attempt, when trying again does not help or the time is over.
         """
-        give_up = time.monotonic() + told.reconnect_in_s + self.reconnect_for_s
-        delay, wait, unheard = FIRST_DELAY_S, told.reconnect_in_s, False
+        give_up = time.monotonic() + draining.reconnect_in_s + self.reconnect_for_s
+        delay, wait, unheard = FIRST_DELAY_S, draining.reconnect_in_s, False
         while True:
             await asyncio.sleep(wait)
             try:
@@ -53,10 +64,9 @@ class Attachment:
                     raise
                 return connection
             except ClientError as failed:
-                # An attempt that was not heard may have attached under a name that we do not know.
+                # An attempt without an answer may have attached under a name that we do not know.
                 unheard |= isinstance(failed, ConnectionLost)
-                ours = before.attachment is None or unheard
-                if time.monotonic() > give_up or not _may_pass(failed, ours, told.resumable):
+                if time.monotonic() > give_up or not _may_pass(failed, unheard, draining.resumable):
                     raise
                 wait = delay * random.uniform(0.5, 1.0)  # noqa: S311
                 if isinstance(failed, Problem) and failed.retry_after_s is not None:
@@ -88,7 +98,7 @@ def _may_pass(failed: ClientError, ours: bool, resumable: bool) -> bool:
     """Whether another attempt may succeed.
 
     While the process that has the session is away, whatever stands in for it says 404, 502 or 503: another
-    replica does not know the session, a proxy knows nobody. ``ours``: what is attached may be left behind by us.
+    replica does not know the session, and a proxy reaches nobody. ``ours``: the attachment in the way may be ours.
     """
     if not isinstance(failed, Problem):
         return True
