@@ -1,8 +1,8 @@
-"""Encoded still images: told by their magic, measured by their header, decoded.
+"""Encoded still images: recognize the format, read the header, decode the pixels.
 
-The service, the command and the evaluation all read images here, so that they agree on what an image is and on its
-pixels. This module is pure Python, so that the service's front can import it; ``decode`` and ``files`` need numpy,
-OpenCV and simplejpeg.
+The service, the command and the evaluation all read images with this package, so that they agree on every pixel. This
+module is pure Python, so that the service's front can import it. ``decode`` and ``files`` need numpy, OpenCV and
+simplejpeg.
 """
 
 from .header import FrameError, FrameInfo, FrameLimits, Kind, inspect, sniff

@@ -1,4 +1,4 @@
-"""An encoded frame to pixels."""
+"""Decode an encoded image to pixels."""
 
 from __future__ import annotations
 
@@ -30,12 +30,29 @@ _TURN: dict[int, Callable[[Image], Any]] = {
 
 
 def decode(data: bytes, limits: FrameLimits, *, turned: bool = True) -> tuple[Image, FrameInfo]:
-    """The pixels of one encoded image, with its EXIF orientation applied, and its header.
+    """Return the pixels and the header of one encoded JPEG, PNG or WebP image.
 
-    The image is ``uint8``, C-contiguous: BGR of shape ``(H, W, 3)``, or ``(H, W)`` when it is stored gray.
-    16 bits are reduced to 8, alpha is dropped; where ``turned`` is False the pixels stay as they are stored.
-    Raises :class:`FrameError` and nothing else: header limits are checked before any pixel, and a damaged JPEG or PNG
-    is refused even where a picture could be made.
+    Parameters
+    ----------
+    data : bytes
+        The whole file.
+    limits : FrameLimits
+        Checked on the header, before any pixel is decoded.
+    turned : bool, optional
+        Apply the EXIF orientation.
+
+    Returns
+    -------
+    image : ndarray of uint8, shape (H, W, 3) or (H, W)
+        BGR, or gray if the image is stored gray; C-contiguous. 16 bits are reduced to 8, alpha is dropped.
+    info : FrameInfo
+        The header.
+
+    Raises
+    ------
+    FrameError
+        If the image is no such format, is beyond the limits, or is damaged. A damaged JPEG or PNG is refused even if
+        a decoder could show part of it.
     """
     info = inspect(data, limits)
     try:
@@ -44,14 +61,14 @@ def decode(data: bytes, limits: FrameLimits, *, turned: bool = True) -> tuple[Im
         raise FrameError("frame-undecodable", f"the {info.kind} image is damaged") from refused
     stored = (info.height, info.width) if info.orientation < 5 else (info.width, info.height)
     if image.shape[:2] != stored:
-        raise FrameError("frame-undecodable", f"the {info.kind} image is not of its header's size")
+        raise FrameError("frame-undecodable", f"the {info.kind} image has another size than its header says")
     if turned and info.orientation != 1:
         image = _TURN[info.orientation](image)
     return image, info
 
 
 def decode_plain(data: bytes, *, turned: bool = True) -> Image:
-    """The BGR pixels of an image of a kind that :func:`decode` does not take. Raises :class:`FrameError`."""
+    """Return the BGR pixels of an image in a format that :func:`decode` refuses. Raises :class:`FrameError`."""
     try:
         return _opencv(data, cv2.IMREAD_COLOR if turned else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     except (ValueError, MemoryError, cv2.error) as refused:
@@ -59,7 +76,7 @@ def decode_plain(data: bytes, *, turned: bool = True) -> Image:
 
 
 def _jpeg(data: bytes, info: FrameInfo) -> Image:
-    """Whole pictures only: what still leads to a warning once it is mended is damaged."""
+    """Decode a JPEG whose picture is whole. If the decoder warns even after :func:`mend`, the image is damaged."""
     try:
         return _turbo(data, info)
     except ValueError:
@@ -67,7 +84,7 @@ def _jpeg(data: bytes, info: FrameInfo) -> Image:
     try:
         return _turbo(data, info)
     except ValueError as refused:
-        if "subsampling" not in str(refused):  # rare ones that TurboJPEG has no name for
+        if "subsampling" not in str(refused):  # rare ones that TurboJPEG does not know
             raise
     return _stored(data, info)
 
@@ -80,7 +97,7 @@ def _turbo(data: bytes, info: FrameInfo) -> Image:
 
 
 def _cmyk(data: bytes) -> Image:
-    """Adobe's inverted CMYK (the only kind in use): each of C, M, Y times K."""
+    """Decode Adobe's inverted CMYK, the only kind in use: multiply each of C, M and Y by K."""
     inks = simplejpeg.decode_jpeg(data, "CMYK")
     key = inks[:, :, 3]
     image = cv2.merge([cv2.multiply(inks[:, :, i], key, scale=1 / 255) for i in (2, 1, 0)])
@@ -99,7 +116,7 @@ def _stored(data: bytes, info: FrameInfo) -> Image:
 
 
 def _opencv(data: bytes, mode: int) -> Image:
-    with quiet():  # libpng, libtiff and OpenCV itself print what they think of an image
+    with quiet():  # libpng, libtiff and OpenCV print warnings
         image = cv2.imdecode(np.frombuffer(data, np.uint8), mode)
     if image is None:
         raise ValueError("no image")
@@ -107,7 +124,7 @@ def _opencv(data: bytes, mode: int) -> Image:
 
 
 def _sound(png: bytes) -> bool:
-    """Whether all chunks carry their checksum (2 % of the decoding)."""
+    """Return True if the checksums of all chunks are right. This takes 2 % of the decoding."""
     at, name = 8, b""
     while name != b"IEND":
         length, name = struct.unpack_from(">I4s", png, at)

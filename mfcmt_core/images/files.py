@@ -1,4 +1,4 @@
-"""Image files, as the command and the evaluation read them: without the service's limits, always BGR."""
+"""Read image files for the command and the evaluation: without the limits of the service, always as BGR."""
 
 from __future__ import annotations
 
@@ -14,21 +14,36 @@ SUFFIXES = frozenset(
     {".bmp", ".jfif", ".jpe", ".jpeg", ".jpg", ".pbm", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp"}
 )
 UNREADABLE_SUFFIXES = frozenset({".avif", ".dng", ".gif", ".heic", ".heif", ".jp2", ".jxl"})
-"""Pictures that cannot be read. Among others they must not be passed over: the frames would be out of step."""
+"""Suffixes of images that cannot be read. They are refused and not skipped, or frames would be missing unnoticed."""
 
 LIMITS = FrameLimits(max_bytes=1 << 31, max_pixels=1 << 30, max_side=1 << 20, max_scans=1000, max_scan_pixels=1 << 36)
 _PLAIN = (b"BM", b"II*\0", b"MM\0*", *(b"P%d" % kind for kind in range(1, 7)))
-"""How BMP, TIFF and the portable maps begin: files that a folder may hold and the service does not take."""
+"""First bytes of BMP, TIFF and the portable maps, which the command reads and the service does not."""
 
 
 class BadImageFile(MFCMTError):
-    """The file cannot be read as an image; the message names it and says why."""
+    """A file cannot be read as an image. The message names the file and the reason."""
 
 
 def read_image(path: Path, *, turned: bool = True) -> Image:
-    """The BGR pixels ``(H, W, 3)`` of an image file, as EXIF says that it is turned, unless ``turned`` is False.
+    """Return the pixels of an image file.
 
-    Raises BadImageFile.
+    Parameters
+    ----------
+    path : Path
+        A file of one of :data:`SUFFIXES`; its content decides on the format.
+    turned : bool, optional
+        Apply the EXIF orientation.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        BGR, also for a gray image.
+
+    Raises
+    ------
+    BadImageFile
+        If the file is missing, damaged or of another format.
     """
     try:
         data = path.read_bytes()

@@ -1,8 +1,8 @@
-"""What an encoded frame says about itself, read without touching a pixel.
+"""Read the header of an encoded image without decoding a pixel.
 
-The readers walk containers, never bytes: a camera's JPEG costs a few microseconds, a progressive one what
-it takes to search its bytes for scans. They find the same header as the decoders behind them, so that nothing
-passes here with one size and is decoded with another.
+The readers step from segment to segment: a camera's JPEG takes a few microseconds, a progressive JPEG as long as the
+search of its bytes for scans. They find the same header as the decoders, so that no image passes the limits here with
+one size and is decoded with another.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ FrameCode = Literal["frame-too-large", "unsupported-image", "frame-undecodable"]
 
 
 class FrameError(Exception):
-    """The frame is refused: ``code`` is the protocol's problem code, ``detail`` may be shown to anyone."""
+    """An image is refused. ``code`` is a problem code of the protocol, ``detail`` a text for any reader."""
 
     def __init__(self, code: FrameCode, detail: str) -> None:
         super().__init__(detail)
@@ -27,10 +27,10 @@ class FrameError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class FrameLimits:
-    """What a frame may cost: encoded bytes, pixels, pixels a side, scans of a JPEG, pixels times scans.
+    """The limits of an encoded image: bytes, pixels, pixels per side, scans of a JPEG, and pixels times scans.
 
-    Every scan goes through all pixels once more, so a JPEG of several scans costs as much as so many images. The last
-    limit is for those alone: a camera writes one scan.
+    Each scan of a JPEG goes through all pixels again, so a JPEG of several scans costs as much as several images. The
+    last limit holds for these only; a camera writes one scan.
     """
 
     max_bytes: int = 8_000_000
@@ -42,10 +42,10 @@ class FrameLimits:
 
 @dataclass(frozen=True, slots=True)
 class FrameInfo:
-    """A frame's header; ``width`` and ``height`` are those after the EXIF orientation is applied.
+    """The header of an image. ``width`` and ``height`` are those after the EXIF orientation is applied.
 
-    ``orientation`` is EXIF's 1–8, ``gray`` says that the decoded image has one channel, ``cmyk`` that a
-    JPEG is stored in four.
+    ``orientation`` is EXIF's, 1–8. ``gray`` is True if the decoded image has one channel, ``cmyk`` if a JPEG is stored
+    with four.
     """
 
     kind: Kind
@@ -56,25 +56,25 @@ class FrameInfo:
     cmyk: bool = False
 
 
-# Segments or chunks a header may have; a walk of that many takes well under a millisecond.
+# Largest number of segments or chunks in a header. To step through them takes well under a millisecond.
 MAX_PARTS = 1024
 MAX_EXIF_TAGS = 256
 TAG_ORIENTATION = 0x0112
 
 _PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 _SOI, _EOI, _SOS, _APP1, _TEM = 0xD8, 0xD9, 0xDA, 0xE1, 0x01
-# Baseline, extended, progressive: the Huffman-coded kinds of DCT that every camera and encoder writes.
+# Baseline, extended and progressive: the Huffman-coded kinds, which all cameras and encoders write.
 _SOF_BASELINE = (0xC0, 0xC1)
 _SOF_PROGRESSIVE = 0xC2
 _SOF_OTHER = {0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF}
-# In coded data FF is followed by 00 or a restart marker; anything else begins the next segment.
+# In coded data, FF is followed by 00 or a restart marker. Anything else begins the next segment.
 _NEXT_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")
-# Between segments restart markers mean nothing, and what is no marker is skipped, by every decoder alike.
+# Between segments, all decoders skip restart markers and bytes that are no marker.
 _NEXT_SEGMENT = re.compile(rb"\xff[^\x00\x01\xff\xd0-\xd7]")
 
 
 def sniff(data: bytes) -> Kind | None:
-    """The kind of image that ``data`` begins as, or None."""
+    """Return the format of the image that ``data`` begins with, or None."""
     if data.startswith(b"\xff\xd8\xff"):
         return "jpeg"
     if data.startswith(_PNG_MAGIC):
@@ -85,7 +85,7 @@ def sniff(data: bytes) -> Kind | None:
 
 
 def inspect(data: bytes, limits: FrameLimits) -> FrameInfo:
-    """The header of one encoded image, within ``limits``. Raises :class:`FrameError` and nothing else."""
+    """Return the header of one encoded image. Raises :class:`FrameError` if it is damaged or beyond ``limits``."""
     if len(data) > limits.max_bytes:
         raise FrameError("frame-too-large", f"{len(data)} bytes; at most {limits.max_bytes}")
     kind = sniff(data)
@@ -124,7 +124,7 @@ def _oriented(
 
 
 def _exif_orientation(tiff: bytes) -> int:
-    """The orientation in IFD0 of a TIFF block; 1 where it is absent or makes no sense."""
+    """Return the orientation in IFD0 of a TIFF block, or 1 if it is absent or invalid."""
     order = {b"II*\0": "<", b"MM\0*": ">"}.get(tiff[:4])
     if order is None:
         return 1
@@ -178,7 +178,7 @@ def _jpeg(data: bytes, limits: FrameLimits) -> FrameInfo:
     sof, height, width, components = frame
     info = _oriented("jpeg", width, height, orientation or 1, gray=components == 1, cmyk=components == 4)
     _measured(info, limits)
-    # A sequential image whose first scan holds all components has no further scan: libjpeg refuses one.
+    # A sequential image whose first scan holds all components has no further scan; libjpeg would refuse it.
     if sof == _SOF_PROGRESSIVE or data[at + 4] < components:
         most = min(limits.max_scans, limits.max_scan_pixels // (width * height))
         if _too_many_scans(data, at, most):
@@ -191,9 +191,9 @@ def _jpeg(data: bytes, limits: FrameLimits) -> FrameInfo:
 
 
 def _too_many_scans(data: bytes, at: int, most: int) -> bool:
-    """Whether more than ``most`` scans begin from the SOS at ``at`` on."""
-    # Every scan begins with these two bytes, so their number is an upper bound, found at memory speed. Only
-    # what is above it pays for the walk, which knows tables and comments from scans, and stops at EOI.
+    """Return True if more than ``most`` scans begin at or after the SOS marker at ``at``."""
+    # Every scan begins with these two bytes, so their number is an upper bound, found at memory speed. Only above
+    # it the segments are walked, which tells tables and comments from scans and stops at EOI.
     if data.count(b"\xff\xda", at) <= most:
         return False
     scans = parts = 0
@@ -278,7 +278,7 @@ def _webp(data: bytes, limits: FrameLimits) -> FrameInfo:
     if size is None:
         _undecodable("the WebP has no image data")
     if canvas is not None and canvas != size:
-        _undecodable("the image of the WebP is not of its canvas' size")
+        _undecodable("the image of the WebP has another size than its canvas")
     return _oriented("webp", *size, orientation or 1)
 
 

@@ -1,9 +1,9 @@
-"""A JPEG that decoders warn of, written anew without what they warn of.
+"""Rewrite a JPEG without the harmless faults that decoders warn about.
 
-Cameras and phones write JPEGs whose picture is whole and whose form is not: stray bytes before a marker, a made-up
-revision of JFIF, wrong parameters of a scan, a vendor's trailer in place of the end. The decoder's only answer to
-them is a warning, the same in kind as to a picture of which half is missing, and it tells no more than the first.
-So what it warned of is taken out here, and what it decodes then must be without any warning.
+Cameras and phones write JPEGs with a whole picture in a faulty form: stray bytes before a marker, an invented revision
+of JFIF, wrong scan parameters, a vendor's trailer in place of the end. The decoder only warns, and it warns in the same
+way if half of the picture is missing; it also reports only its first warning. Therefore the harmless faults are removed
+here, and the result must decode without any warning.
 """
 
 from __future__ import annotations
@@ -24,13 +24,20 @@ _SOF_PROGRESSIVE = 0xC2
 _SOF = (0xC0, 0xC1, _SOF_PROGRESSIVE)
 _JFIF = b"\xff\xe0\x00\x10JFIF\0\x01\x01\0\0\x01\0\x01\0\0"
 _MOST_BLOCKS = 10
-"""Blocks in a unit of an interleaved scan, by the standard."""
+"""Largest number of blocks in a unit of an interleaved scan, by the standard."""
 
 
 def mend(data: bytes) -> bytes:
-    """The picture of a JPEG with its Huffman-coded data as they are and nothing that a decoder would warn of.
+    """Return the JPEG with the same Huffman-coded data, but without anything that a decoder would warn about.
 
-    Raises ValueError where coded data are missing or damaged, so that no decoder could make the whole picture.
+    Raises
+    ------
+    ValueError
+        If coded data are missing or damaged, so that no decoder could show the whole picture.
+
+    References
+    ----------
+    ITU-T Recommendation T.81, annexes B, F and G.
     """
     picture = _Picture(data)
     try:
@@ -41,18 +48,18 @@ def mend(data: bytes) -> bytes:
 
 
 class _Component:
-    """One color component: its sampling factors, and what the scans so far have told of it."""
+    """One color component: its sampling factors, and the coefficients that the scans have given so far."""
 
     def __init__(self, across: int, down: int) -> None:
         if not (1 <= across <= 4 and 1 <= down <= 4):
-            raise ValueError("sampling factors that do not exist")
+            raise ValueError("the sampling factors are invalid")
         self.across, self.down = across, down
         self.missing = np.full(64, 16)  # low bits of each coefficient; 16 before its first scan
         self.nonzero: npt.NDArray[np.uint64] | None = None
 
 
 class _Picture:
-    """A walk through the segments of a JPEG; ``parts`` are those of the mended one."""
+    """Reads the segments of a JPEG. ``parts`` are those of the mended JPEG."""
 
     def __init__(self, data: bytes) -> None:
         self.parts: list[bytes] = []
@@ -61,17 +68,17 @@ class _Picture:
         self._components: dict[int, _Component] = {}
         self._width = self._height = self._restart = 0
         self._progressive = False
-        self._tables = np.zeros((8, 1 << 16), np.uint16)  # four of DC, four of AC
+        self._tables = np.zeros((8, 1 << 16), np.uint16)  # four for DC, four for AC
         for index, table in _standard_tables().items():
             self._tables[index] = table
 
     def read(self) -> None:
-        """Read segments and scans up to the end, or until all of the picture is there."""
+        """Read segments and scans to the end, or until the picture is complete."""
         data, at = self._data, 2
         for _ in range(MAX_PARTS):
             found = _MARKER.search(data, at)
             if found is None:
-                raise ValueError("it ends before the picture does")
+                raise ValueError("the file ends before the picture does")
             marker, at = data[found.end() - 1], found.end()
             if marker == _EOI:
                 break
@@ -103,7 +110,7 @@ class _Picture:
             raise ValueError("a component has no scan")
 
     def _application(self, marker: int, body: bytes) -> None:
-        """Keep what decides on the color space."""
+        """Keep the segments that decide on the color space."""
         if marker == 0xE0 and body.startswith(b"JFIF\0") and len(body) >= 14:
             self.parts.append(_JFIF)
         elif marker == 0xEE and body.startswith(b"Adobe") and len(body) >= 12:
@@ -117,9 +124,9 @@ class _Picture:
         for at in range(6, 6 + 3 * body[5], 3):
             self._components[body[at]] = _Component(body[at + 1] >> 4, body[at + 1] & 15)
         if len(self._components) != body[5]:
-            raise ValueError("two components of one name")
+            raise ValueError("two components have the same name")
         if self._progressive:
-            self._tables[:] = 0  # nothing is standard there
+            self._tables[:] = 0  # progressive images have no standard tables
 
     def _huffman(self, body: bytes) -> None:
         at = 0
@@ -127,21 +134,21 @@ class _Picture:
             end = at + 17 + sum(body[at + 1 : at + 17])
             kind, slot = body[at] >> 4, body[at] & 15
             if kind > 1 or slot > 3 or end > len(body):
-                raise ValueError("a Huffman table that does not exist")
+                raise ValueError("a Huffman table is invalid")
             self._tables[4 * kind + slot] = _lookup(body[at + 1 : end])
             at = end
 
     def _scan(self, body: bytes, at: int) -> int:
-        """Take over one scan whose coded data begin at ``at``; where the next marker begins."""
+        """Copy one scan, whose coded data begin at ``at``, and return where the next marker begins."""
         names = [body[1 + 2 * i] for i in range(body[0])]
         components = [self._components[name] for name in names if name in self._components]
         if not components or len(components) != body[0] or len(set(names)) != len(names):
-            raise ValueError("a scan of components that do not exist")
+            raise ValueError("a scan has invalid components")
         first, last, bits = (body[1 + 2 * body[0] + i] for i in range(3)) if self._progressive else (0, 63, 0)
         high, low = bits >> 4, bits & 15
         if self._progressive:
             if first > last or last > 63 or (first == 0) != (last == 0) or (first and len(components) > 1):
-                raise ValueError("a scan of coefficients that do not exist")
+                raise ValueError("a scan has invalid coefficients")
             kind = [coded.DC_FIRST, coded.DC_REFINED, coded.AC_FIRST, coded.AC_REFINED][2 * (first > 0) + (high > 0)]
         else:
             kind = coded.SEQUENTIAL
@@ -166,10 +173,10 @@ class _Picture:
         return int(ends[-1, 1])
 
     def _units(self, components: list[_Component], slots: list[int]) -> tuple[npt.NDArray[np.int64], int]:
-        """The tables of every block in a unit of a scan, and how many units it has."""
+        """Return the tables of every block in a unit of a scan, (blocks, 2) int64, and the number of units."""
         across = max(c.across for c in self._components.values())
         down = max(c.down for c in self._components.values())
-        if len(components) == 1:  # not interleaved: every block is a unit
+        if len(components) == 1:  # not interleaved: each block is a unit
             columns = -(-self._width * components[0].across // across)
             rows = -(-self._height * components[0].down // down)
             count, repeats = -(-columns // 8) * -(-rows // 8), [1]
@@ -177,18 +184,18 @@ class _Picture:
             count = -(-self._width // (8 * across)) * -(-self._height // (8 * down))
             repeats = [c.across * c.down for c in components]
         if sum(repeats) > _MOST_BLOCKS or any((slot >> 4) > 3 or (slot & 15) > 3 for slot in slots):
-            raise ValueError("a scan that does not exist")
+            raise ValueError("a scan is invalid")
         blocks = [(s >> 4, 4 + (s & 15)) for s, n in zip(slots, repeats, strict=True) for _ in range(n)]
         return np.array(blocks, np.int64) << 16, count
 
 
 @lru_cache(maxsize=16)
 def _lookup(table: bytes) -> npt.NDArray[np.uint16]:
-    """A Huffman table as JPEG has it (the number of codes by length, their symbols) as ``coded.symbol`` wants it."""
+    """Expand a Huffman table (the number of codes of each length, then their symbols) to the form of ``coded``."""
     lengths = np.repeat(np.arange(1, 17), np.frombuffer(table[:16], np.uint8))
     spans = 1 << (16 - lengths)
     if spans.sum() > 1 << 16:
-        raise ValueError("a Huffman table that does not exist")
+        raise ValueError("a Huffman table is invalid")
     entries = lengths << 8 | np.frombuffer(table[16:], np.uint8)
     found = np.zeros(1 << 16, np.uint16)
     found[: spans.sum()] = np.repeat(entries, spans)
@@ -197,7 +204,7 @@ def _lookup(table: bytes) -> npt.NDArray[np.uint16]:
 
 @cache
 def _standard_tables() -> dict[int, npt.NDArray[np.uint16]]:
-    """The tables that hold where a sequential JPEG brings none, as a camera's video does; here from an encoder."""
+    """Return the tables of a sequential JPEG without its own, as in a camera's video. An encoder supplies them."""
     data = simplejpeg.encode_jpeg(np.zeros((8, 8, 3), np.uint8))
     tables, at = {}, 2
     while data[at + 1] != _SOS:

@@ -1,8 +1,8 @@
-"""How far the Huffman-coded data of a JPEG go (ITU-T T.81, annexes F and G), without making pixels of them.
+"""Walk through the Huffman-coded data of a JPEG without decoding pixels (ITU-T T.81, annexes F and G).
 
-A place in them is three int64: ``at``, the next byte of ``data`` (N,) uint8; ``bits``, what was read and is not used
-yet; ``have``, how many bits these are. After damage ``have`` is negative. ``tables`` (T * 65536,) uint16 gives, from a
-table's beginning on, for the next 16 bits the length of the first code in them times 256 and its symbol, or 0.
+A position is three int64: ``at`` is the next byte of ``data`` (N,) uint8, ``bits`` are the bits that were read but not
+used, and ``have`` is their number, which is negative after damage. ``tables`` (T * 65536,) uint16 holds one table after
+another. An entry belongs to the next 16 bits: 256 times the length of the first code in them plus its symbol, or 0.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 from ._jit import kernel
 
 SEQUENTIAL, DC_FIRST, DC_REFINED, AC_FIRST, AC_REFINED = range(5)
-"""What a scan codes."""
+"""Kinds of scans."""
 
 DAMAGED = -1
 _MASK = (1 << 56) - 1
@@ -20,7 +20,7 @@ _MASK = (1 << 56) - 1
 
 @kernel
 def fill(data, at, bits, have):  # type: ignore[no-untyped-def]
-    """The same place with more than 48 bits at hand, as far as bytes come before the next marker."""
+    """Return the same position with more than 48 bits in ``bits``, or as many as there are before the next marker."""
     while have <= 48 and at < data.size:
         value, after = np.int64(data[at]), at + 1
         if value == 0xFF:
@@ -34,8 +34,8 @@ def fill(data, at, bits, have):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def look(tables, table, bits, have):  # type: ignore[no-untyped-def]
-    """The entry of the next code in the table that begins at ``table``; 0 where no code fits or bits are missing."""
+def peek(tables, table, bits, have):  # type: ignore[no-untyped-def]
+    """Return the entry of the next code in the table at ``table``, or 0 if no code fits or bits are missing."""
     ahead = bits >> (have - 16) if have >= 16 else bits << (16 - have)
     entry = np.int64(tables[table + (ahead & 0xFFFF)])
     return entry if entry >> 8 <= have else np.int64(0)
@@ -43,22 +43,22 @@ def look(tables, table, bits, have):  # type: ignore[no-untyped-def]
 
 @kernel
 def skip_dc(data, at, bits, have, tables, table):  # type: ignore[no-untyped-def]
-    """The place after the DC coefficient of a block."""
+    """Return the position after the DC coefficient of a block."""
     if have < 32:
         at, bits, have = fill(data, at, bits, have)
-    entry = look(tables, table, bits, have)
+    entry = peek(tables, table, bits, have)
     have -= (entry >> 8) + (entry & 15)
     return at, bits, (have if entry and not entry & 0xF0 else np.int64(-1))
 
 
 @kernel
 def skip_ac(data, at, bits, have, tables, table):  # type: ignore[no-untyped-def]
-    """The place after the AC coefficients of a block of a sequential scan."""
+    """Return the position after the AC coefficients of a block of a sequential scan."""
     k = 1
     while k < 64 and have >= 0:
         if have < 32:
             at, bits, have = fill(data, at, bits, have)
-        entry = look(tables, table, bits, have)
+        entry = peek(tables, table, bits, have)
         if entry == 0:
             return at, bits, np.int64(-1)
         have -= (entry >> 8) + (entry & 15)
@@ -70,13 +70,16 @@ def skip_ac(data, at, bits, have, tables, table):  # type: ignore[no-untyped-def
 
 @kernel
 def skip_first(data, at, bits, have, tables, table, first, last, nonzero):  # type: ignore[no-untyped-def]
-    """The place after a block of a progressive image's first AC scan, the number of empty blocks that follow, and
-    ``nonzero`` with a bit more for each coefficient that is not zero."""
+    """Skip a block in the first AC scan of a progressive image.
+
+    Returns the position after it, the number of empty blocks that follow, and ``nonzero`` with the bits of the
+    coefficients that are not zero.
+    """
     k = first
     while k <= last and have >= 0:
         if have < 32:
             at, bits, have = fill(data, at, bits, have)
-        entry = look(tables, table, bits, have)
+        entry = peek(tables, table, bits, have)
         if entry == 0:
             return at, bits, np.int64(-1), np.int64(0), nonzero
         have -= entry >> 8
@@ -95,14 +98,14 @@ def skip_first(data, at, bits, have, tables, table, first, last, nonzero):  # ty
 
 @kernel
 def skip_refined(data, at, bits, have, tables, table, first, last, run, nonzero):  # type: ignore[no-untyped-def]
-    """The same of an AC scan that adds a bit to what earlier ones gave; ``run`` is what the block before left of it."""
+    """Skip a block in an AC scan that refines earlier ones. ``run`` counts the empty blocks left; returns as above."""
     k, one = first, np.uint64(1)
     while k <= last:
         if have < 32:
             at, bits, have = fill(data, at, bits, have)
         zeros, size = np.int64(64), np.int64(0)
         if run == 0:
-            entry = look(tables, table, bits, have)
+            entry = peek(tables, table, bits, have)
             have -= entry >> 8
             zeros, size = entry >> 4 & 15, entry & 15
             if size == 0 and zeros < 15:
@@ -113,7 +116,7 @@ def skip_refined(data, at, bits, have, tables, table, first, last, run, nonzero)
             if entry == 0 or size > 1 or have < 0:
                 return at, bits, np.int64(-1), np.int64(0), nonzero
         while k <= last:
-            if nonzero >> np.uint64(k) & one:  # it has a bit here
+            if nonzero >> np.uint64(k) & one:  # a nonzero coefficient has one more bit here
                 if have == 0:
                     at, bits, have = fill(data, at, bits, have)
                 have -= 1
@@ -132,12 +135,12 @@ def skip_refined(data, at, bits, have, tables, table, first, last, run, nonzero)
 
 @kernel
 def walk(data, at, kind, blocks, tables, first, last, restart, nonzero, count, ends):  # type: ignore[no-untyped-def]
-    """Read the ``count`` units of a scan whose data begin at ``at``; the number of its intervals, or DAMAGED.
+    """Read the ``count`` units of a scan whose data begin at ``at``. Return the number of intervals, or DAMAGED.
 
-    ``blocks`` (B, 2) int64 says where the DC and the AC table of every block of a unit begin. ``first`` and ``last``
-    are the scan's coefficients, ``restart`` its units between restart markers, or 0. ``nonzero`` (count,) uint64 has
-    the coefficients of each block that are not zero, for the AC scans of a progressive image. ``ends`` (I, 2) int64
-    takes for each interval where its data end and where the marker after that begins.
+    ``blocks`` (B, 2) int64 holds where the DC and the AC table of each block of a unit begin. ``first`` and ``last``
+    are the scan's coefficients, ``restart`` is the number of units between restart markers, or 0. ``nonzero``
+    (count,) uint64 has a bit for each coefficient of a block that is not zero, for the AC scans of a progressive
+    image. ``ends`` (I, 2) int64 receives for each interval where its data end and where the next marker begins.
     """
     intervals, run, bits, have = 0, np.int64(0), np.int64(0), np.int64(0)
     for unit in range(count):
@@ -167,7 +170,7 @@ def walk(data, at, kind, blocks, tables, first, last, restart, nonzero, count, e
         if not done and (restart == 0 or (unit + 1) % restart):
             continue
         end = at
-        for _ in range(have >> 3):  # bytes that were read ahead
+        for _ in range(have >> 3):  # go back over the bytes that were read ahead
             stuffed = data[end - 1] == 0 and data[end - 2] == 0xFF
             end -= 2 if stuffed else 1
             while stuffed and data[end - 1] == 0xFF:

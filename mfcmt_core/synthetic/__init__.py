@@ -1,10 +1,12 @@
-"""Rendered sequences whose truth is known exactly: for tests, the demo, the benchmark.
+"""Rendered clips whose true boxes are known exactly, for the tests, the demo and the benchmarks.
 
-Everything is painted by code, so nobody has rights in it, and everything follows from the seed.
+Code paints every pixel, so nobody else has rights in them, and everything follows from the seed.
 
+Examples
+--------
 >>> from mfcmt_core import synthetic
->>> sequence = synthetic.clip("sample")
->>> sequence.frames[0].shape, sequence.boxes.shape
+>>> clip = synthetic.clip("sample")
+>>> clip.frames[0].shape, clip.boxes.shape
 ((480, 640, 3), (300, 4))
 """
 
@@ -27,14 +29,36 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Scene:
-    """What is to be seen: a target that goes along a closed path over a background, and what befalls it.
+    """A scene: a target that moves along a closed path over a background, and what happens to it.
 
-    ``size`` is the frame's (width, height) and ``target`` the target's first, px. ``speed`` bounds the motion
-    a frame in sizes of the target (the path shrinks to fit), ``zoom`` is the largest scale (1 / ``zoom`` the
-    smallest), ``hide`` the width of a post that the target passes behind (in target widths; 0: no post),
-    ``light`` how far the brightness swings (0..1), ``rivals`` how many lookalikes in other colors there
-    are, ``pan`` how far the camera turns (in frame widths) and ``grain`` the sensor noise (standard
-    deviation, gray levels). With ``leaves`` the target goes out of the frame and comes back.
+    Attributes
+    ----------
+    size : (int, int)
+        Width and height of the frame in pixels.
+    target : (float, float)
+        Width and height of the target in the first frame, in pixels.
+    length : int
+        Number of frames.
+    speed : float
+        Largest motion per frame, as a fraction of the target's size. The path shrinks to the frame.
+    zoom : float
+        Largest scale of the target; the smallest is 1 / ``zoom``.
+    hide : float
+        Width of a post that the target passes behind, in target widths. 0: no post.
+    light : float
+        Amplitude of the brightness, 0 to 1.
+    rivals : int
+        Number of lookalikes in other colors.
+    pan : float
+        How far the camera turns, in frame widths.
+    leaves : bool
+        The target leaves the frame and comes back.
+    gray : bool
+        Frames have one channel.
+    grain : float
+        Standard deviation of the sensor noise in gray levels.
+    balloons : bool
+        The target is a balloon over a landscape instead of a plate over a texture.
     """
 
     size: tuple[int, int] = (320, 240)
@@ -68,7 +92,7 @@ SCENES = {
 
 
 class Frames(Sequence[Image]):
-    """The frames of a sequence, painted when they are asked for, in any order."""
+    """The frames of a clip. Each is painted when it is read, in any order."""
 
     def __init__(self, length: int, draw: Callable[[int], Image]) -> None:
         self._indices = range(length)
@@ -88,11 +112,18 @@ class Frames(Sequence[Image]):
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """Frames with their truth.
+    """A rendered clip: frames with their true boxes.
 
-    ``frames``: ``uint8``, (H, W, 3) BGR or (H, W). ``boxes``: (N, 4) ``float64`` [x, y, w, h], 0-based and
-    sub-pixel, also where the target is hidden or outside. ``shown``: (N,) the share of the box that lies in
-    the frame and is not hidden, 0..1.
+    Attributes
+    ----------
+    name : str
+        The name of the scene.
+    frames : Frames
+        N images, uint8 of shape (H, W, 3) BGR or (H, W).
+    boxes : ndarray of float64, shape (N, 4)
+        The true [x, y, w, h], 0-based and with sub-pixel precision, also if the target is hidden or outside.
+    shown : ndarray of float64, shape (N,)
+        The fraction of the box that lies in the frame and is not hidden.
     """
 
     name: str
@@ -102,14 +133,14 @@ class Clip:
 
     @property
     def visible(self) -> npt.NDArray[np.bool_]:
-        """Is at least half of the target to be seen? (N,)"""
+        """True for the frames that show at least half of the target, (N,)."""
         return self.shown >= 0.5
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def write(self, folder: str | Path, suffix: str = ".jpg") -> None:
-        """Store as OTB does: ``img/0001.jpg`` … and ``groundtruth_rect.txt``, 1-based."""
+        """Write the clip in the layout of OTB: ``img/0001.jpg`` … and ``groundtruth_rect.txt``, 1-based."""
         images = Path(folder) / "img"
         images.mkdir(parents=True, exist_ok=True)
         for i, frame in enumerate(self.frames, 1):
@@ -125,14 +156,14 @@ class Clip:
 
 
 def clip(name: str = "sample", *, seed: int = 0, **changes: Any) -> Clip:
-    """A named scene of :data:`SCENES`; ``changes`` are fields of :class:`Scene`, e.g. ``length=30``."""
+    """Render a scene of :data:`SCENES`. ``changes`` are fields of :class:`Scene`, such as ``length=30``."""
     if name not in SCENES:
-        raise ValueError(f"no scene {name!r}; there are {', '.join(SCENES)}")
+        raise ValueError(f"there is no scene {name!r}, only {', '.join(SCENES)}")
     return render(replace(SCENES[name], **changes), seed=seed, name=name)
 
 
 def render(scene: Scene, *, seed: int = 0, name: str = "scene") -> Clip:
-    """The sequence of a scene. Raises ValueError for sizes or a length that leave nothing to see."""
+    """Render a scene. Raises ValueError if the target does not fit its frame or there is no frame."""
     (width, height), (tw, th) = scene.size, scene.target
     if scene.length < 1 or min(width, height) < 16 or not 4 <= min(tw, th) <= max(tw, th) < max(width, height):
         raise ValueError(f"cannot render a target of {tw}×{th} in {scene.length} frames of {width}×{height}")
@@ -166,12 +197,12 @@ def render(scene: Scene, *, seed: int = 0, name: str = "scene") -> Clip:
 
 
 def _phase(scene: Scene) -> Array:
-    """0..2π over the sequence: everything ends where it began, so that a clip can be shown in a loop."""
+    """Return 0 to 2π over the clip. Everything ends where it began, so that the clip can be shown in a loop."""
     return 2 * np.pi * np.arange(scene.length) / scene.length
 
 
 def _boxes(scene: Scene) -> Array:
-    """The target's path: a lying eight about the middle of the frame, or out to the right and back."""
+    """Return the target's boxes: a figure of eight around the middle of the frame, or out to the right and back."""
     (width, height), (tw, th), phase = scene.size, scene.target, _phase(scene)
     scale = scene.zoom ** np.sin(phase)
     step = scene.speed * np.sqrt(tw * th) * scene.length / (2 * np.pi)
@@ -184,7 +215,7 @@ def _boxes(scene: Scene) -> Array:
 
 
 def _target(scene: Scene, rng: np.random.Generator) -> Callable[[int], paint.Picture]:
-    """The target's picture for a frame: a plate, or a balloon that turns."""
+    """Return a function from a frame's index to the target's picture: a plate, or a balloon that turns."""
     if scene.balloons:
         turn, height = 0.12 * np.sin(_phase(scene)), max(96, round(1.4 * scene.target[1]))
         return lambda i: paint.balloon(0, turn[i], height)
@@ -198,7 +229,7 @@ def _plate(scene: Scene, rng: np.random.Generator) -> paint.Picture:
 
 
 def _rival(scene: Scene, rng: np.random.Generator, k: int) -> paint.Picture:
-    """A lookalike: the same thing in other colors."""
+    """Return a lookalike: the same object in other colors."""
     if scene.balloons:
         return paint.balloon(1 + k, 0.4 * k)
     order = ((1, 2, 0, 3), (2, 0, 1, 3), (0, 2, 1, 3))[k % 3]
@@ -206,7 +237,7 @@ def _rival(scene: Scene, rng: np.random.Generator, k: int) -> paint.Picture:
 
 
 def _rival_path(scene: Scene, boxes: Array, k: int) -> Array:
-    """The target's own path at another time; balloons hang farther away and hardly move."""
+    """Return a lookalike's boxes: the target's path at another time. Balloons are farther away and hardly move."""
     if not scene.balloons:
         return np.roll(boxes, -round((k + 1) * scene.length / (scene.rivals + 1)), axis=0)
     drift = np.sin(_phase(scene) + 2 * k)
@@ -217,7 +248,7 @@ def _rival_path(scene: Scene, boxes: Array, k: int) -> Array:
 
 
 def _post(scene: Scene, rng: np.random.Generator, boxes: Array, camera: Array) -> tuple[paint.Picture | None, Array]:
-    """What the target passes behind, left of the middle: a tower in the valley, else a post."""
+    """Return the picture and the boxes of what the target passes behind: a tower in the landscape, else a post."""
     (width, height), w = scene.size, scene.hide * scene.target[0]
     left = boxes[:, 0].min() + boxes[0, 2] / 2
     middle = min(left + 0.3 * (width / 2 - left), boxes[0, 0] - w / 2 - 2)
@@ -233,7 +264,7 @@ def _post(scene: Scene, rng: np.random.Generator, boxes: Array, camera: Array) -
 
 
 def _shown(scene: Scene, boxes: Array, posts: Array) -> Array:
-    """The share of each box that lies inside the frame and beside the post."""
+    """Return the fraction of each box that lies inside the frame and beside the post."""
 
     def clipped(low: Array, high: Array, a: npt.ArrayLike, b: npt.ArrayLike) -> Array:
         return np.asarray(np.maximum(np.minimum(high, b) - np.maximum(low, a), 0.0), np.float64)

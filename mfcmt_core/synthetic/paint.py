@@ -1,7 +1,7 @@
-"""Procedural pictures for the synthetic sequences: landscape, balloon, tower, tree, textured plates.
+"""Procedural pictures for the synthetic clips: landscape, balloon, tower, tree, textured plates.
 
-Pictures are ``float32`` BGR in 0..255; sprites are BGRA, the alpha in 0..1 and the colors already
-multiplied with it, so that they can be warped and laid over a frame as they are.
+Pictures are ``float32`` BGR, 0 to 255. Sprites are BGRA with an alpha of 0 to 1 that the colors are already multiplied
+by, so that they can be warped and laid over a frame.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ LIVERIES = [
 def noise(
     rng: np.random.Generator, height: int, width: int, cell: float, octaves: int = 5, stretch: float = 1.0
 ) -> Picture:
-    """Fractal value noise in 0..1, (height, width); ``cell`` px its coarsest grain, wider by ``stretch``."""
+    """Return fractal value noise (height, width) in [0, 1], whose largest cells are ``cell`` × ``cell·stretch`` pixels."""
     total, weight, norm = np.zeros((height, width), np.float32), 1.0, 0.0
     for _ in range(octaves):
         rows, cols = int(height / cell) + 3, int(width / (cell * stretch)) + 3
@@ -55,34 +55,34 @@ def noise(
 
 
 def step(values: npt.ArrayLike, low: float, high: float) -> Picture:
-    """0 below ``low``, 1 above ``high``, smooth between."""
+    """Return 0 below ``low``, 1 above ``high``, and a smooth transition between them."""
     t = np.clip((np.asarray(values, np.float32) - low) / (high - low), 0, 1)
     return f32(t * t * (3 - 2 * t))
 
 
 def lit(relief: Picture, right: int, down: int) -> Picture:
-    """How much higher each pixel stands than its neighbor towards the light, which comes from the left."""
+    """Return how much higher each pixel is than its neighbor towards the light, which comes from the left."""
     shifted = cv2.copyMakeBorder(relief, down, 0, right, 0, cv2.BORDER_REPLICATE)
     return f32(relief - shifted[: relief.shape[0], : relief.shape[1]])
 
 
 def mix(under: npt.ArrayLike, over: npt.ArrayLike, share: npt.ArrayLike) -> Picture:
-    """``over`` laid on ``under`` where ``share`` is 1."""
+    """Blend ``over`` on ``under`` with the weights ``share``, 0 to 1."""
     a, b, s = (np.asarray(v, np.float32) for v in (under, over, share))
     return f32(a + (b - a) * s[..., None])
 
 
 def sprite(color: npt.ArrayLike, alpha: npt.ArrayLike) -> Picture:
-    """BGRA, colors multiplied with alpha."""
+    """Return a sprite: BGRA, with the colors multiplied by alpha."""
     a = np.clip(np.asarray(alpha, np.float32), 0, 1)[..., None]
     return f32(np.concatenate([np.clip(color, 0, 255) * a, a], axis=2))
 
 
 def blend(frame: Picture, picture: Picture, box: npt.ArrayLike, angle: float = 0.0) -> None:
-    """Lay a sprite over ``frame`` so that it fills ``box`` (x, y, w, h; sub-pixel), turned about its center.
+    """Draw a sprite over ``frame`` so that it fills ``box`` (x, y, w, h; sub-pixel), rotated around its center.
 
-    Pixel ``i`` covers ``[i, i + 1)``. A sprite larger than its box is averaged down to whole pixels first, so
-    that its edges are shaded by how much of a pixel they cover.
+    Pixel ``i`` covers ``[i, i + 1)``. A sprite larger than its box is averaged to whole pixels first, so that each edge
+    pixel is weighted by the part that is covered.
     """
     x, y, w, h = (float(v) for v in np.asarray(box, float))
     small = max(1, min(int(w), picture.shape[1])), max(1, min(int(h), picture.shape[0]))
@@ -107,7 +107,7 @@ def blend(frame: Picture, picture: Picture, box: npt.ArrayLike, angle: float = 0
 
 
 def plate(rng: np.random.Generator, width: int, height: int) -> Picture:
-    """A textured rectangle that fills its box: warm marbled colors, a dark frame, a disc and bars."""
+    """Return a textured rectangle that fills its box: warm marbled colors, a dark frame, a disc and bars."""
     grain = noise(rng, height, width, max(min(width, height) / 3, 2), 4)
     fine = noise(rng, height, width, max(min(width, height) / 12, 1.5), 2)
     picture = mix(np.full((height, width, 3), (40, 60, 190)), np.full((height, width, 3), (60, 205, 240)), grain)
@@ -120,7 +120,7 @@ def plate(rng: np.random.Generator, width: int, height: int) -> Picture:
 
 
 def ground(rng: np.random.Generator, width: int, height: int) -> Picture:
-    """A mottled background of greens, grays and browns with some structure at every size."""
+    """Return a mottled background of greens, grays and browns with some structure at every size."""
     a, b, c = (noise(rng, height, width, cell, 5) for cell in (90, 40, 14))
     picture = mix(
         np.full((height, width, 3), (70, 110, 84)),
@@ -132,7 +132,7 @@ def ground(rng: np.random.Generator, width: int, height: int) -> Picture:
 
 
 def balloon(livery: int, turn: float, height: int = 176) -> Picture:
-    """A hot-air balloon with a basket, its gores turned by ``turn`` radians; (height, 0.75 height, 4)."""
+    """Return a hot-air balloon with a basket, its gores rotated by ``turn`` radians; (height, 0.75 height, 4)."""
     width, s = int(0.75 * height), np.float32(1.0 / height)
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)
     v, u = (y + 0.5) * s, (x + 0.5 - width / 2) * s
@@ -166,7 +166,7 @@ def balloon(livery: int, turn: float, height: int = 176) -> Picture:
 
 
 def tower(rng: np.random.Generator, width: int, height: int) -> Picture:
-    """A stone watch-tower with a pitched roof."""
+    """Return a stone watch-tower with a pitched roof."""
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)
     u, v = (x + 0.5) / width - 0.5, (y + 0.5) / width
     row = np.floor(v * 9)
@@ -187,7 +187,7 @@ def tower(rng: np.random.Generator, width: int, height: int) -> Picture:
 
 
 def tree(rng: np.random.Generator, size: int) -> Picture:
-    """A round broad-leaved tree, lit from the left; square."""
+    """Return a square picture of a round broad-leaved tree, lit from the left."""
     y, x = np.mgrid[0:size, 0:size].astype(np.float32)
     u, v = (x + 0.5) / size - 0.5, (y + 0.5) / size
     leaves = noise(rng, size, size, size / 5, 4)
@@ -200,7 +200,7 @@ def tree(rng: np.random.Generator, size: int) -> Picture:
 
 
 def landscape(rng: np.random.Generator, width: int, height: int) -> Picture:
-    """A valley from the air: clouds, mountains, fields with crop rows and hedges, a river, trees."""
+    """Return a valley from the air: clouds, mountains, fields with crop rows and hedges, a river, trees."""
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)
     horizon = 0.36 * height
     sun = np.exp(-(((x - 0.2 * width) / (0.35 * width)) ** 2 + ((y - horizon) / (0.5 * height)) ** 2))

@@ -42,11 +42,11 @@ def test_fill_stops_at_the_end():
 
 def test_look():
     codes = table(7, 8, 9, 10)
-    assert coded.look(codes, 0, 0b0_10_110_11, 8) == 1 << 8 | 7
-    assert coded.look(codes, 0, 0b0_10_110_11, 7) == 2 << 8 | 8
-    assert coded.look(codes, 0, 0b0_10_110_11, 2) == 0  # one bit is missing
-    assert coded.look(codes, 0, 0b1111 << 20, 24) == 0  # no such code
-    assert coded.look(np.concatenate([codes, table(1, 2, 3, 4)]), 1 << 16, 0b110, 3) == 3 << 8 | 3
+    assert coded.peek(codes, 0, 0b0_10_110_11, 8) == 1 << 8 | 7
+    assert coded.peek(codes, 0, 0b0_10_110_11, 7) == 2 << 8 | 8
+    assert coded.peek(codes, 0, 0b0_10_110_11, 2) == 0  # one bit is missing
+    assert coded.peek(codes, 0, 0b1111 << 20, 24) == 0  # no such code
+    assert coded.peek(np.concatenate([codes, table(1, 2, 3, 4)]), 1 << 16, 0b110, 3) == 3 << 8 | 3
 
 
 def test_skip_dc():
