@@ -25,11 +25,16 @@ class Command(Protocol):
         """Add the arguments."""
 
     def run(self, args: argparse.Namespace) -> int:
-        """Do the work and return the exit code. Raises :class:`UsageError` for arguments that do not fit."""
+        """Do the work and return the exit code. Raises :class:`UsageError` for invalid arguments."""
 
 
 class UsageError(Exception):
-    """The arguments do not fit together or name what is not there: one line, exit code 2."""
+    """The arguments exclude each other or name something that is missing. Printed as one line, with exit code 2."""
+
+
+def has_screen() -> bool:
+    """Return True if there is a screen for a browser. Without one, webbrowser would start one in this terminal."""
+    return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +53,7 @@ class Entry:
 COMMANDS = {
     "track": Entry.of("mfcmt_core.cli.track", "follow a box through images, a video or a camera"),
     "eval": Entry.of("mfcmt_core.cli.evaluate", "score trackers on OTB: OPE, TRE, SRE"),
-    "bench": Entry.of("mfcmt_core.cli.bench", "milliseconds a frame, stage by stage, alone or beside other trackers"),
+    "bench": Entry.of("mfcmt_core.cli.bench", "measure milliseconds per frame and stage, alone or against others"),
     "warmup": Entry.of("mfcmt_core.cli.warmup", "compile the kernels for this CPU and keep them on disk"),
 }
 
@@ -63,14 +68,14 @@ def commands() -> dict[str, Entry]:
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        """One line instead of the usage."""
+        """Print one line instead of the usage."""
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Entry point of the console script: 0 done, 1 failed, 2 bad arguments, 130 interrupted."""
+    """Run the ``mfcmt`` command and return its exit code: 0 done, 1 failed, 2 bad arguments, 130 interrupted."""
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # before numpy is loaded: its matrices are small, and threads only wait
+        os.environ.setdefault(name, "1")  # before numpy is loaded: for its small matrices, threads only cost time
     argv = sys.argv[1:] if argv is None else argv
     parser = _Parser(prog="mfcmt", description="Track a target through video on a CPU.")
     parser.add_argument("--version", action="version", version=f"mfcmt {__version__}")
@@ -87,7 +92,7 @@ def main(argv: list[str] | None = None) -> int:
             except ModuleNotFoundError as missing:
                 if missing.name is None or missing.name.startswith(("mfcmt_core.", "service.")):
                     raise
-                print(f"mfcmt {name}: needs {missing.name}: pip install 'mfcmt[service]'", file=sys.stderr)
+                print(f"mfcmt {name}: needs {missing.name}; run pip install 'mfcmt[service]'", file=sys.stderr)
                 return 1
             except UsageError as absent:
                 print(f"mfcmt {name}: {absent}", file=sys.stderr)

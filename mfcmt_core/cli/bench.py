@@ -32,7 +32,7 @@ from .progress import Progress
 from .variables import misspelt_variables
 
 BUSY = 1.15
-"""Wall over processor time above which others had the core too."""
+"""Ratio of wall time to processor time above which other work had the core, too."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -40,26 +40,26 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--preset", choices=PRESETS, default="default")
     parser.add_argument("--clip", choices=synthetic.SCENES, help="a rendered clip (default: sample)")
     parser.add_argument("--data", type=Path, metavar="FOLDER", help="real sequences instead of a rendered clip")
-    parser.add_argument("--sequences", metavar="NAMES", help="of these only, apart by comma")
-    parser.add_argument("--frames", type=int, metavar="N", help="at most so many of each")
+    parser.add_argument("--sequences", metavar="NAMES", help="only these, separated by commas")
+    parser.add_argument("--frames", type=int, metavar="N", help="use at most N frames of each")
     parser.add_argument("--repeat", type=int, default=3, metavar="N", help="passes over the frames (default: 3)")
     parser.add_argument("--core", type=int, metavar="N", help="the core to run on (default: the last)")
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
     parser.add_argument(
         "--peers",
         action="store_true",
-        help="beside OpenCV's CSRT, KCF and MOSSE and dlib, speed and accuracy, in one run on the same frames "
-        "(default: of $MFCMT_OTB_ROOT); see make bench-peers",
+        help="compare speed and accuracy with OpenCV's CSRT, KCF and MOSSE and with dlib in one run on the same frames "
+        "(default: those of $MFCMT_OTB_ROOT); see make bench-peers",
     )
     parser.add_argument(
         "--costs",
         action="store_true",
-        help="what larger frames, a lost target, ten targets and a second core cost, on a rendered clip",
+        help="measure large frames, a lost target, ten targets and a second core on a rendered clip",
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print."""
+    """Measure, and print the report."""
     if args.repeat < 1 or (args.frames is not None and args.frames < 2):
         raise UsageError("--repeat takes 1 or more, --frames 2 or more")
     if args.clip and args.data:
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def material(args: argparse.Namespace, default: Path | None = None) -> Iterator[Material]:
-    """What the arguments name."""
+    """Yield the sequences that the arguments name."""
     data = args.data or (None if args.clip else default)
     if data:
         return real_material(data, args.sequences, args.frames)
@@ -99,14 +99,17 @@ def material(args: argparse.Namespace, default: Path | None = None) -> Iterator[
 
 
 def frames_of(args: argparse.Namespace, default: Path | None = None) -> int:
-    """How many frames :func:`material` has, without decoding any."""
+    """Return how many frames :func:`material` has, without decoding them."""
     data = args.data or (None if args.clip else default)
     lengths = real_lengths(data, args.sequences) if data else [synthetic.SCENES[args.clip or "sample"].length]
     return sum(min(args.frames or length, length) for length in lengths)
 
 
 def measure(materials: Iterable[Material], preset: str, repeat: int, frames: int | None = None) -> dict[str, Any]:
-    """Time whole updates first, then once more with a clock on each stage; ``frames`` there are in all materials."""
+    """Time whole updates first, then once more with a clock on each stage, and return the report.
+
+    ``frames`` is the number of frames of all materials, for the time left.
+    """
     with Progress(frames and frames * (repeat + 1)) as bar:
         return _measure(materials, preset, repeat, bar)
 
@@ -162,7 +165,7 @@ def _milliseconds(seconds: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, f
 
 
 def table(report: dict[str, Any]) -> str:
-    """The report for a person."""
+    """Return the report as text."""
     lines = [f"{report['preset']} preset, {report['repeat']} passes; milliseconds of processor time a frame", ""]
     lines.append(f"{'stage':<20}{'median':>9}{'mean':>9}{'p90':>9}{'calls':>8}")
     for name, stage in report["stages_ms"].items():

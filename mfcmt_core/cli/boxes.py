@@ -1,4 +1,4 @@
-"""Boxes as people write them after ``--box``."""
+"""Parse boxes as people write them after ``--box``."""
 
 from __future__ import annotations
 
@@ -15,9 +15,14 @@ NUMBERS = re.compile(r"[-+\d.,\s]*\d[-+\d.,\s]*")
 
 
 def join_box(argv: list[str]) -> list[str]:
-    """``argv`` with the numbers after each ``--box`` in one word.
+    """Return ``argv`` with the numbers after each ``--box`` joined to one word.
 
-    So ``--box 129 80 64 78`` is a box, and so is ``--box -5,80,64,78``, which argparse takes for an option.
+    This allows ``--box 129 80 64 78``, and ``--box -5,80,64,78``, which argparse would take for an option.
+
+    Examples
+    --------
+    >>> join_box(["--box", "-5", "80", "64", "78", "clip.mp4"])
+    ['--box=-5,80,64,78', 'clip.mp4']
     """
     words: list[str] = []
     rest = list(argv)
@@ -33,7 +38,7 @@ def join_box(argv: list[str]) -> list[str]:
 
 
 def parse_box(text: str) -> Box:
-    """``x,y,w,h`` as four numbers. Raises UsageError."""
+    """Return ``x,y,w,h`` as four numbers. Raises UsageError."""
     try:
         x, y, w, h = (float(v) for v in text.split(","))
     except ValueError:

@@ -1,4 +1,4 @@
-"""What a tracker's frame costs beside the ordinary: larger frames, a lost target, more targets, more cores."""
+"""Measure special cases: large frames, a lost target, several targets, two cores."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ TARGETS = 10
 TRACKERS = 8
 PASSES = 3
 REST = 2
-"""Steps behind those of the blocks: targets and cores."""
+"""Steps after those of the blocks: targets and cores."""
 BLOCK = 20
-"""Frames that one of two compared runs goes on for before it is the other's turn: both see the same machine."""
+"""Number of frames that a run does before the next run takes its turn, so that all see the same machine."""
 NEVER_FOUND: dict[str, Any] = dict.fromkeys(("fused_threshold", "template_threshold", "statistical_threshold"), 10.0)
 
 
 def measure(config: MFCMTConfig, frames: int | None) -> dict[str, Any]:
-    """Milliseconds: medians of the thread's processor time, throughput by the clock."""
+    """Return the report: medians in milliseconds of the thread's processor time, and throughput in wall time."""
     clip = synthetic.clip("sample", size=VGA)
     images = clip.frames[: frames or len(clip)]
     x, y, w, h = (float(v) for v in clip.boxes[0])
@@ -70,7 +70,7 @@ def measure(config: MFCMTConfig, frames: int | None) -> dict[str, Any]:
 
 
 class Stepper:
-    """A tracker on its way through a clip, a few frames at a time; ``seconds`` are those of every update."""
+    """Runs a tracker through a clip, a few frames at a time. ``seconds`` has the processor time of each update."""
 
     def __init__(self, config: MFCMTConfig, images: list[Image], box: Box) -> None:
         self._config, self._images, self._box = config, images, box
@@ -78,13 +78,13 @@ class Stepper:
         self.restart()
 
     def restart(self) -> None:
-        """From the first frame again."""
+        """Start from the first frame again."""
         self._tracker = MFCMT(self._config)
         self._tracker.init(self._images[0], self._box)
         self._rest = iter(self._images[1:])
 
     def go(self, count: int) -> None:
-        """So many frames more, as far as there are."""
+        """Track the next ``count`` frames, or as many as there are."""
         for image, _ in zip(self._rest, range(count), strict=False):
             start = time.thread_time()
             self._tracker.update(image)
@@ -92,7 +92,7 @@ class Stepper:
 
 
 def _targets(config: MFCMTConfig, images: list[Image], box: Box) -> dict[str, Any]:
-    """A JPEG decoded once a frame, for one tracker and for ten; they share nothing else."""
+    """Return milliseconds per frame for one and for ten trackers that share only the decoded JPEG."""
     files = [cv2.imencode(".jpg", image)[1] for image in images]
     x, y, w, h = box
     boxes = [(x + 3 * k - 15, y + 2 * k - 10, w, h) for k in range(TARGETS)]
@@ -116,7 +116,7 @@ def _frame_seconds(config: MFCMTConfig, files: list[Any], boxes: list[Box]) -> I
 
 
 def _cores(config: MFCMTConfig, count: int, box: Box) -> dict[str, Any] | None:
-    """Updates a second of eight trackers on one core and, four in a process each, on two."""
+    """Return updates per second of eight trackers: in one process on one core, and in two processes on two cores."""
     cores = sorted(_allowed())
     if len(cores) < 2:
         return None
@@ -126,7 +126,7 @@ def _cores(config: MFCMTConfig, count: int, box: Box) -> dict[str, Any] | None:
 
 
 def _allowed() -> set[int]:
-    """The cores of this machine for this process, whatever it was pinned to since."""
+    """Return the cores that this process may use, ignoring what :func:`pin` has set."""
     if not hasattr(os, "sched_setaffinity"):
         return set()
     now = os.sched_getaffinity(0)
@@ -138,7 +138,7 @@ def _allowed() -> set[int]:
 
 
 def _throughput(config: MFCMTConfig, count: int, box: Box, cores: list[int], each: int) -> float:
-    """Updates a second of ``each`` trackers a core, all at the same time."""
+    """Return updates per second of ``each`` trackers per core, all at the same time."""
     context = get_context("spawn")
     start = context.Barrier(len(cores))
     pipes = [context.Pipe(duplex=False) for _ in cores]
@@ -149,7 +149,7 @@ def _throughput(config: MFCMTConfig, count: int, box: Box, cores: list[int], eac
     for worker in workers:
         worker.start()
     for _, out in pipes:
-        out.close()  # so that the end of a worker is seen here
+        out.close()  # so that the end of a worker is noticed
     seconds: list[float] = [pipe.recv() for pipe, _ in pipes]
     for worker in workers:
         worker.join()
@@ -173,7 +173,7 @@ def _work(config: MFCMTConfig, count: int, box: Box, core: int, each: int, start
 
 
 def table(report: dict[str, Any]) -> str:
-    """The report for a person."""
+    """Return the report as text."""
     ms, targets, cores = report["update_ms"], report["targets"], report["cores"]
     w, h = report["clip"]["target"]
     lines = [
@@ -194,5 +194,5 @@ def table(report: dict[str, Any]) -> str:
             f"{TRACKERS} trackers on two cores          {gain}",
         ]
     else:
-        lines.append("two cores: not here")
+        lines.append("two cores: this process may use one only")
     return "\n".join(lines)

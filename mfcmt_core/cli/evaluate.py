@@ -50,13 +50,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=["default"],
         metavar="TRACKER",
-        help="names, apart by comma or space: a preset, a configuration file (.toml, .json), "
+        help="names separated by commas or spaces: a preset, a configuration file (.toml, .json), "
         "a folder of result files; LABEL=TRACKER gives another name",
     )
-    parser.add_argument("--protocol", default="ope", help="ope, tre, sre, starts, apart by comma (default: ope)")
+    parser.add_argument("--protocol", default="ope", help="ope, tre, sre, starts, separated by commas (default: ope)")
     parser.add_argument("--layout", choices=["auto", *LAYOUTS], default="auto", help="how the folder is laid out")
     parser.add_argument("--set", choices=SUBSETS, default="otb2015", help="which targets (default: otb2015)")
-    parser.add_argument("--sequences", metavar="NAMES", help="only these, apart by comma")
+    parser.add_argument("--sequences", metavar="NAMES", help="only these, separated by commas")
     parser.add_argument(
         "--results",
         type=Path,
@@ -64,20 +64,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="folder of result files; finished work there is kept (default: results)",
     )
     parser.add_argument("--report", type=Path, metavar="FOLDER", help="write tables, plots, CSV and JSON there")
-    parser.add_argument("--film", metavar="NAMES", help="strips of these sequences for the report (OPE)")
-    parser.add_argument("--video", action="store_true", help="beside each strip the whole film as MP4")
+    parser.add_argument("--film", metavar="NAMES", help="add film strips of these sequences to the report (OPE)")
+    parser.add_argument("--video", action="store_true", help="also write the whole film of each strip as MP4")
     parser.add_argument(
         "--reproduce",
         type=Path,
         metavar="FOLDER",
-        help="section IV of the paper: presets, rivals, ablations and peers, as pages in the folder",
+        help="reproduce section IV of the paper: write pages on presets, other trackers and ablations to the folder",
     )
     parser.add_argument("--published", type=Path, metavar="FOLDER", help="folders of published boxes for --reproduce")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes (default: one a CPU)")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="number of processes (default: one per CPU)")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run what is not finished, print a table for each protocol; 1 where a tracker lost a sequence."""
+    """Run what is not finished and print a table per protocol. Return 1 if a tracker failed on a sequence."""
     protocols = [p.upper() for p in args.protocol.split(",")]
     if unknown := set(protocols) - set(PROTOCOLS):
         raise UsageError(f"unknown protocol: {', '.join(sorted(unknown))}")
@@ -144,7 +144,7 @@ def _films(args: argparse.Namespace, dataset: Dataset, trackers: list[Entry | Re
 
 
 def _complain(trackers: list[Entry | ResultFolder], evaluations: list[Evaluation]) -> bool:
-    """Name what was lost; whether a tracker that ran is among it."""
+    """Print why scores are missing. Return True if one is of a tracker that ran."""
     ran = {t.name for t in trackers if not isinstance(t, ResultFolder)}
     for e in evaluations:
         for reason in list(e.missing.values())[:3]:
@@ -155,14 +155,14 @@ def _complain(trackers: list[Entry | ResultFolder], evaluations: list[Evaluation
 
 
 class _Bar(Progress):
-    """Progress as an evaluation tells it, whose total is known when the first steps are done."""
+    """The progress of an evaluation, whose total is known after the first steps."""
 
     def __init__(self, label: str) -> None:
         super().__init__(None)
         self._label = label
-        self._told = 0
+        self._reported = 0
 
     def __call__(self, done: int, total: int) -> None:
         self.total = total
-        self.step(self._label, done - self._told)
-        self._told = done
+        self.step(self._label, done - self._reported)
+        self._reported = done

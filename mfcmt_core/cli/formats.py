@@ -1,4 +1,4 @@
-"""Results as lines of text: CSV, JSON lines, OTB, MOT."""
+"""Write results as lines of text: CSV, JSON lines, OTB, MOT."""
 
 from __future__ import annotations
 
@@ -63,13 +63,13 @@ FORMATS: dict[str, tuple[str, Row]] = {
     "otb": ("", _otb),
     "mot": ("", _mot),
 }
-"""Name: (header line, a result's line). Frames and pixels count from 0, in OTB and MOT from 1."""
+"""Header line and row function of each format. Frames and pixels count from 0, in OTB and MOT from 1."""
 
 SUFFIXES = {".csv": "csv", ".jsonl": "jsonl", ".ndjson": "jsonl", ".json": "jsonl", ".txt": "otb"}
 
 
 def lines(name: str, results: Iterator[TrackResult]) -> Iterator[tuple[TrackResult, str]]:
-    """Each result with the text to write for it, line ends and header included."""
+    """Yield each result with the text to write for it, line ends and header included."""
     header, row = FORMATS[name]
     start = header + "\n" if header else ""
     for frame, result in enumerate(results):

@@ -1,4 +1,4 @@
-"""What the benchmarks measure with: one core, one thread, processor time, the tracker's stages one by one."""
+"""Tools of the benchmarks: one core, one thread, processor time, and a clock for each stage of the tracker."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ STAGES: tuple[tuple[str, Any, str], ...] = (
     ("re-detection", tracker, "propose"),
     ("everything else", tracker.MFCMT, "update"),
 )
-"""Name and function of each stage, in the order of Algorithm 1; time in an inner stage counts there alone."""
+"""Name and function of each stage, in the order of Algorithm 1. Time in an inner stage counts only there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,21 +67,21 @@ class Material:
 
 
 def synthetic_material(name: str, frames: int | None) -> Iterator[Material]:
-    """A rendered clip."""
+    """Yield a rendered clip."""
     clip = synthetic.clip(name)
     known = np.ones(len(clip), bool)
     yield _decoded(Sequence(name, (), clip.boxes, known, known), clip.frames.__getitem__, frames)
 
 
 def real_material(root: Path, names: str | None, frames: int | None) -> Iterator[Material]:
-    """The sequences of a folder, OTB or another layout, one after the other. Raises DataError."""
+    """Yield the sequences of a folder, one after the other. Raises DataError."""
     dataset = open_dataset(root)
     for sequence in dataset.select(names.split(",")) if names else dataset:
         yield _decoded(sequence, sequence.read, frames)
 
 
 def real_lengths(root: Path, names: str | None) -> list[int]:
-    """How many frames each sequence of :func:`real_material` has. Raises DataError."""
+    """Return how many frames each sequence of :func:`real_material` has. Raises DataError."""
     dataset = open_dataset(root)
     return [len(sequence) for sequence in (dataset.select(names.split(",")) if names else dataset)]
 
@@ -93,7 +93,7 @@ def _decoded(sequence: Sequence, read: Callable[[int], Image], frames: int | Non
 
 
 def pin(core: int | None) -> str:
-    """Keep this process to one core and one thread; says on what machine."""
+    """Restrict this process to one core and one thread, and return a description of the machine."""
     cv2.setNumThreads(1)
     where = "one thread"
     if hasattr(os, "sched_setaffinity"):
@@ -105,7 +105,7 @@ def pin(core: int | None) -> str:
 
 
 def cpu_name() -> str:
-    """The processor's model name."""
+    """Return the processor's model name."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text(encoding="utf-8", errors="replace").splitlines() if info.is_file() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith(("model name", "Model"))]
@@ -114,9 +114,9 @@ def cpu_name() -> str:
 
 @dataclass(frozen=True, eq=False)
 class Timed:
-    """Of each update: processor seconds, wall seconds, box, and what the tracker said of the target.
+    """A timed run. For each update: processor seconds, wall seconds, box, and the state of the tracker.
 
-    ``alive``: it had it (of a peer); ``lost``: it searches wider (of ours).
+    ``alive`` is False if a peer reported that it had lost the target. ``lost`` is True if ours reported ``"lost"``.
     """
 
     cpu: Array
@@ -127,16 +127,16 @@ class Timed:
 
 
 def warm_up(tracker: Any, material: Material) -> None:
-    """What is loaded and allocated on first use is there afterwards."""
+    """Track three frames, so that everything that is loaded or allocated on first use is there."""
     tracker.init(material.frames[0], material.box)
     for frame in material.frames[1:3]:
         tracker.update(frame)
 
 
 def timed_run(tracker: Any, material: Material) -> Timed:
-    """Track through the material; row 0 is ``init`` (and its box the given one).
+    """Track through the material. Row 0 is ``init``, with the given box.
 
-    Time is the thread's processor time: another process on the core delays, but does not count.
+    Processor time is the thread's: other processes on the core delay it, but do not count.
     """
     count = len(material.frames)
     cpu, wall, boxes, alive = np.empty(count), np.empty(count), np.empty((count, 4)), np.ones(count, bool)
@@ -152,12 +152,12 @@ def timed_run(tracker: Any, material: Material) -> Timed:
 
 
 def spread(seconds: Array) -> float | None:
-    """The 99th percentile over the median; None of nothing."""
+    """Return the 99th percentile over the median, or None for no values."""
     return float(np.percentile(seconds, 99) / np.median(seconds)) if len(seconds) else None
 
 
 class StageClock:
-    """Processor time of each stage in each frame: ``seconds[name]`` and ``calls[name]``, a value a frame."""
+    """Measures the processor time of each stage. ``seconds[name]`` and ``calls[name]`` have a value per frame."""
 
     def __init__(self) -> None:
         self.seconds: defaultdict[str, list[float]] = defaultdict(list)
@@ -167,7 +167,7 @@ class StageClock:
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """Wrap the stages from outside, and unwrap them in the end."""
+        """Wrap the functions of all stages within the block."""
         with ExitStack() as stack:
             for name, owner, attribute in STAGES:
                 original = getattr(owner, attribute)
@@ -176,7 +176,7 @@ class StageClock:
             yield
 
     def end_frame(self) -> None:
-        """What was clocked since the last call makes a frame."""
+        """Record the times since the last call as one frame."""
         for name, _, _ in STAGES:
             seconds, calls = self._frame.get(name, (0.0, 0))
             self.seconds[name].append(seconds)

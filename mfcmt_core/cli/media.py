@@ -1,4 +1,4 @@
-"""Frames from a folder, a video file or a camera; video to a file."""
+"""Read frames from a folder, a video file or a camera; write a video file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..images.files import SUFFIXES, UNREADABLE_SUFFIXES, BadImageFile, read_ima
 from ..quiet import quiet
 from . import UsageError
 
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # warnings would break the one-line errors
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # its warnings would break the one-line errors
 if "OPENCV_LOG_LEVEL" not in os.environ:
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
@@ -26,12 +26,12 @@ CODECS = {".mp4": "mp4v", ".mkv": "mp4v", ".avi": "MJPG", ".webm": "VP80"}
 
 
 class MediaError(Exception):
-    """A frame cannot be read or a video not be written: one line, exit code 1."""
+    """A frame cannot be read or a video cannot be written. Printed as one line, with exit code 1."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where frames come from: ``frames`` once, in order; ``length`` where it is known beforehand."""
+    """A source of frames. ``frames`` can be read once, in order; ``length`` is None if it is not known beforehand."""
 
     frames: Iterator[Image]
     length: int | None
@@ -40,9 +40,9 @@ class Source:
 
 
 def open_source(text: str) -> Source:
-    """A folder of images (or of OTB: with them in ``img``), a video file, or the number of a camera.
+    """Open a folder of images (or with an ``img`` folder, as in OTB), a video file, or a camera by its number.
 
-    Raises UsageError where there is no such thing; reading raises MediaError.
+    Raises UsageError if there is no such source. Reading frames raises MediaError.
     """
     path = Path(text)
     if path.is_dir():
@@ -81,9 +81,9 @@ def _folder(path: Path) -> Source:
 
 
 def _listed(folder: Path) -> list[Path]:
-    """The images of a folder, in the order of the numbers in their names.
+    """Return the images of a folder, in the order of the numbers in their names.
 
-    Raises UsageError where one is of a kind that cannot be read.
+    Raises UsageError if one has a format that cannot be read.
     """
     files = [file for file in folder.iterdir() if not file.name.startswith(".")]
     for file in files:
@@ -118,18 +118,18 @@ def _video(name: str | int) -> Source:
 
 
 class VideoFile:
-    """A video file, opened with the size of its first frame. Raises UsageError for an unknown suffix."""
+    """A video file to write. It takes its size from the first frame. Raises UsageError for an unknown suffix."""
 
     def __init__(self, path: str, fps: float) -> None:
         if Path(path).suffix.lower() not in CODECS:
-            raise UsageError(f"no codec for {path}; there are {', '.join(CODECS)}")
+            raise UsageError(f"no codec for {path}; use one of {', '.join(CODECS)}")
         if not Path(path).resolve().parent.is_dir():
             raise UsageError(f"no folder for {path}")
         self._path, self._fps = path, fps
         self._writer: cv2.VideoWriter | None = None
 
     def write(self, frame: Image) -> None:
-        """Add a BGR frame. Raises MediaError."""
+        """Append a BGR frame. Raises MediaError."""
         if self._writer is None:
             fourcc = cv2.VideoWriter.fourcc(*CODECS[Path(self._path).suffix.lower()])
             with quiet():

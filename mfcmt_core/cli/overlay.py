@@ -1,4 +1,4 @@
-"""A frame with its result drawn in: box, status, and the three reliability scores as a strip below."""
+"""Draw a result into its frame: box and status, and the three reliability scores as a strip below."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ NAMES = ("fused", "template", "statistical")
 
 
 class Overlay:
-    """Draws results over frames; ``thresholds`` are the γ of the three tests, drawn as lines."""
+    """Draws results over frames. ``thresholds`` are the γ of the three tests, drawn as lines."""
 
     def __init__(self, thresholds: tuple[float, float, float]) -> None:
         self._thresholds = thresholds
         self._past: deque[TrackResult] = deque(maxlen=4096)
 
     def draw(self, frame: Image, result: TrackResult) -> Image:
-        """A new BGR image: the frame with the box, and 3 rows of scores below it."""
+        """Return a new BGR image: the frame with the box, and three rows of scores below it."""
         self._past.append(result)
         height, width = frame.shape[:2]
         full = np.full((height + 3 * ROW, width, 3), PAPER, np.uint8)

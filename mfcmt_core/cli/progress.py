@@ -1,4 +1,4 @@
-"""A line that tells how far the work is and how long it will take, on a terminal and nowhere else."""
+"""A progress line with the time left. It is drawn on a terminal only."""
 
 from __future__ import annotations
 
@@ -10,15 +10,24 @@ from types import TracebackType
 from typing import Self
 
 EVERY_S = 0.25
-"""Between two drawings; another thread draws, so that the work itself only counts."""
+"""Seconds between two drawings. Another thread draws, so that the work itself only counts."""
 
 
 class Progress:
-    """``with Progress(total, "frames") as bar:`` and then ``bar.step("note")`` for each thing that is done.
+    """A progress line: ``with Progress(total) as bar:``, then ``bar.step("note")`` after each unit of work.
 
-    Work that is told when it starts says ``bar.begin("note")`` instead. With ``timed`` the total is in seconds, and
-    the clock counts. ``total`` may be set later, where it is not known at first. Silent where the standard error is
-    no terminal, or ``shown`` is false.
+    Call ``bar.begin("note")`` instead if a unit is reported when it starts.
+
+    Parameters
+    ----------
+    total : float or None
+        Number of units. None if it is unknown; the attribute may be set later.
+    unit : str, optional
+        Name of the units, in the plural.
+    timed : bool, optional
+        The total is in seconds, and the clock counts them.
+    shown : bool, optional
+        Draw the line. It is never drawn if the standard error is no terminal.
     """
 
     def __init__(self, total: float | None, unit: str = "frames", *, timed: bool = False, shown: bool = True) -> None:
@@ -35,12 +44,12 @@ class Progress:
         return self
 
     def step(self, note: str = "", count: int = 1) -> None:
-        """``count`` more are done."""
+        """Report that ``count`` more units are done."""
         self._done += count
         self._note, self._stepped = note, time.monotonic()
 
     def begin(self, note: str, count: int = 1) -> None:
-        """What was begun before is done, and something that counts for ``count`` begins."""
+        """Report that the last unit is done and that one begins that counts as ``count``."""
         self.step(note, self._begun)
         self._begun = count
 
@@ -55,7 +64,7 @@ class Progress:
         if over:
             parts.append(f"in {_clock(passed)}")
         elif total and done:
-            # From how long the last step took to come, counted down until the next.
+            # extrapolated from the last step, and counted down until the next
             took, since = (passed, 0.0) if self._timed else (self._stepped - self._start, now - self._stepped)
             parts.append(f"{_clock(max(0.0, took / done * (total - done) - since))} left")
         if not self._timed:

@@ -31,19 +31,23 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument("source", metavar="SOURCE", help="a folder of images, a video file or a camera's number")
     start = parser.add_mutually_exclusive_group(required=True)
-    start.add_argument("--box", metavar="X,Y,W,H", help="the target in the first frame, px, 0-based; commas or spaces")
+    start.add_argument("--box", metavar="X,Y,W,H", help="the target in the first frame, in 0-based pixels")
     start.add_argument("--select", action="store_true", help="draw the box in a page that opens in the browser")
     parser.add_argument("--no-browser", action="store_true", help="with --select: print the page's address only")
-    parser.add_argument("--format", choices=sorted(formats.FORMATS), help="default: by the suffix, else csv")
-    parser.add_argument("--output", metavar="FILE", help="where the boxes go; default: the standard output")
+    parser.add_argument("--format", choices=sorted(formats.FORMATS), help="default: by the output's suffix, or csv")
+    parser.add_argument("--output", metavar="FILE", help="write the boxes there (default: the standard output)")
     parser.add_argument("--video", metavar="FILE", help="also write an annotated video (.mp4, .mkv, .avi, .webm)")
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--preset", choices=PRESETS, default="default")
-    which.add_argument("--config", metavar="FILE", help="TOML or JSON: fields of MFCMTConfig, and base, a preset")
+    which.add_argument(
+        "--config",
+        metavar="FILE",
+        help="TOML or JSON: fields of MFCMTConfig, and base, a preset",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do the work; the exit code."""
+    """Track, write the results, and return the exit code."""
     box = parse_box(args.box) if args.box is not None else None
     config = _config(args.preset, args.config)
     style = args.format or formats.SUFFIXES.get(Path(args.output or "").suffix.lower(), "csv")
@@ -51,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     video = VideoFile(args.video, source.fps) if args.video else None
     if args.output and not Path(args.output).resolve().parent.is_dir():
         raise UsageError(f"no folder for {args.output}")
-    cv2.setNumThreads(1)  # more threads cost processor time and bring no frames
+    cv2.setNumThreads(1)  # more threads take processor time and are no faster
     try:
         first = next(source.frames, None)
         if first is None:
@@ -69,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     except MediaError as failed:
         print(f"mfcmt track: {failed}", file=sys.stderr)
         return 1
-    except BrokenPipeError:  # the reader has seen enough
+    except BrokenPipeError:  # the reader has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     if sys.stderr.isatty():
@@ -86,7 +90,7 @@ def _follow(
     output: str | None,
     video: VideoFile | None,
 ) -> Counter[str]:
-    """Track to the end, writing as it goes; how many frames had which status."""
+    """Track to the end and write each result at once. Return the number of frames by status."""
     c = tracker.config
     overlay = Overlay((c.fused_threshold, c.template_threshold, c.statistical_threshold)) if video else None
     counts: Counter[str] = Counter()
@@ -99,14 +103,14 @@ def _follow(
                     video.write(overlay.draw(frame, result))
                 yield result
         except KeyboardInterrupt:
-            if not source.live:  # a camera has no other end
+            if not source.live:  # a camera ends only like this
                 raise
 
     with ExitStack() as stack:
         if video:
             stack.callback(video.close)
         sink: TextIO = stack.enter_context(open(output, "w", newline="\n")) if output else sys.stdout
-        shown = bool(output) or not sys.stdout.isatty()  # on one terminal the boxes themselves tell how far it is
+        shown = bool(output) or not sys.stdout.isatty()  # boxes on the same terminal show the progress
         bar = stack.enter_context(Progress(source.length, shown=shown))
         for result, text in formats.lines(style, results()):
             sink.write(text)

@@ -1,4 +1,4 @@
-"""The ``MFCMT_*`` variables of the environment, and those among them that nothing reads."""
+"""Find ``MFCMT_*`` variables in the environment that nothing reads."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from difflib import get_close_matches
 
 PREFIX = "MFCMT_"
 OWN = ("MFCMT_OTB_ROOT", "MFCMT_CI")
-"""Read by the command and by the tests, beside the settings of the service."""
+"""Variables of the command and the tests, which are no settings of the service."""
 OF_CLUSTERS = re.compile(r"MFCMT_(\w+_)?(SERVICE_(HOST|PORT)(_\w+)?|PORT_\d+_(TCP|UDP)(_\w+)?)|MFCMT_VERSION")
-"""What Kubernetes and Docker set where a service's name begins with ``mfcmt``, and the image's tag (compose)."""
+"""Variables that Kubernetes and Docker set for a service whose name begins with ``mfcmt``, and compose's image tag."""
 
 
 def unread_variables(settings: Iterable[str]) -> list[str]:
-    """A line for each variable that is neither one of ``settings`` nor ours, with the nearest name that is."""
+    """Return a line for each variable that is not in ``settings`` and not the command's, with the nearest name."""
     known = [*settings, *OWN]
     unread = (name for name in sorted(os.environ) if name.startswith(PREFIX) and name not in known)
-    return [_told(name, known) for name in unread if not _of_a_cluster(name)]
+    return [_describe(name, known) for name in unread if not _of_a_cluster(name)]
 
 
 def misspelt_variables() -> list[str]:
-    """Those lines of :func:`unread_variables` that are near a variable of the command's own."""
+    """Return the lines of :func:`unread_variables` for names near a variable of the command."""
     return [line for line in unread_variables(()) if "did you mean" in line]
 
 
@@ -30,6 +30,6 @@ def _of_a_cluster(name: str) -> bool:
     return bool(OF_CLUSTERS.fullmatch(name)) or os.environ[name].startswith(("tcp://", "udp://"))
 
 
-def _told(name: str, known: list[str]) -> str:
+def _describe(name: str, known: list[str]) -> str:
     nearest = get_close_matches(name, known, 1, cutoff=0.75)
     return f"{name} is not read by anything" + (f"; did you mean {nearest[0]}?" if nearest else "")

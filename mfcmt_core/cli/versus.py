@@ -1,4 +1,4 @@
-"""The tracker beside those of OpenCV and dlib: the same frames in the same run, speed and accuracy."""
+"""Measure speed and accuracy against the trackers of OpenCV and dlib, on the same frames in the same run."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from .progress import Progress
 
 OURS = "MFCMT"
 PASSES = 3
-"""Of ours, for its slowest frames: each does the same again, and what one pass takes longer is the machine's."""
+"""Passes of ours for its slowest frames. Each does the same work, so the least time per frame leaves out the noise."""
 FEWEST = 20
-"""Updates that a peer must be alive for in a sequence, for its speed there to count."""
+"""Smallest number of updates on which a peer must be alive in a sequence for its speed there to count."""
 
 COLUMNS = (  # title, key, width, digits
     ("ms", "median_ms", 8, 3),
@@ -38,22 +38,22 @@ COLUMNS = (  # title, key, width, digits
 
 
 def default_data() -> Path | None:
-    """The real sequences, where they are at hand."""
+    """Return the folder of real sequences, or None if there is none."""
     root = Path(os.environ.get("MFCMT_OTB_ROOT", "../shared/data/otb"))
     return root if root.is_dir() else None
 
 
 def measure(materials: Iterable[Material], preset: str, all_frames: int | None = None) -> dict[str, Any]:
-    """Run every tracker on each sequence in turn; who is first changes from sequence to sequence.
+    """Run every tracker on each sequence and return the report. The order of the trackers rotates.
 
-    A frame on which a peer says that it has lost the target costs it next to nothing, so it does not count
-    for its speed. Ours counts on every frame. Ratios are of medians, per sequence. ``all_frames`` are those of all
-    materials, for the time that is left.
+    A frame on which a peer reports a lost target costs it almost nothing, so it does not count for its speed. Ours
+    counts on every frame. Ratios are of medians, per sequence. ``all_frames`` is the number of frames of all materials,
+    for the time left.
     """
     peers = [Peer(name, name) for name in PEERS]
     present = [p for p in peers if not p.lacks]
     if not present:
-        raise UsageError("none of the peers is installed: make bench-peers sets up an environment with them")
+        raise UsageError("none of the peers is installed; make bench-peers installs them")
     entries: list[Engine | Peer] = [Engine(OURS, MFCMTConfig.preset(preset)), *present]
     scores = {e.name: Evaluation(e.name, "OPE", {}) for e in entries}
     medians: dict[str, dict[str, float]] = {e.name: {} for e in entries}
@@ -115,7 +115,7 @@ def _row(name: str, evaluation: Evaluation, medians: dict[str, dict[str, float]]
 
 
 def _behind(medians: dict[str, dict[str, float | None]]) -> list[str]:
-    """The sequences on which a peer that counts was faster than ours, a line a peer."""
+    """Return a line per peer with the sequences on which it was faster than ours."""
     faster: dict[str, list[str]] = {}
     for sequence, row in medians.items():
         ours = row[OURS]
@@ -126,7 +126,7 @@ def _behind(medians: dict[str, dict[str, float | None]]) -> list[str]:
 
 
 def _middle_and_most(spreads: dict[str, float | None]) -> str:
-    """Of what each sequence has, for a person; empty where none has any."""
+    """Return the median and the largest value over the sequences as text; empty if there are none."""
     known = {name: s for name, s in spreads.items() if s is not None}
     if not known:
         return ""
@@ -139,7 +139,7 @@ def _geometric_mean(values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
 
 
 def table(report: dict[str, Any]) -> str:
-    """The report for a person."""
+    """Return the report as text."""
     count = len(report["median_ms"])
     head = "".join(f"{title:>{width}}" for title, _, width, _ in COLUMNS)
     lines = [

@@ -1,9 +1,9 @@
 """``mfcmt warmup``: compile the kernels for this CPU and keep them on disk.
 
-numba keeps what it compiles beside the source, or, where that cannot be written, in the user's cache folder
-(``NUMBA_CACHE_DIR`` names another). It finds it again by CPU, source and types, so on another CPU, or after an
-update, this compiles anew and the old entries stay for the CPU that made them. What lies ready beside the
-source is copied to a folder that is still empty.
+numba keeps compiled kernels beside the source, or in the user's cache folder if the source cannot be written
+(``NUMBA_CACHE_DIR`` names another folder). The keys are CPU, source and types: on another CPU or after an update the
+kernels are compiled again, and the old entries stay for the CPU that made them. Kernels beside the source are copied
+to the cache folder if that is empty.
 """
 
 # mypy: allow-untyped-calls
@@ -38,11 +38,11 @@ HELP = "from mfcmt_core.cli import warmup; warmup.help_out()"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """No arguments."""
+    """Add no arguments."""
 
 
 def run(_: argparse.Namespace) -> int:
-    """Compile what is missing and say how long it took and where it is."""
+    """Compile the missing kernels; print how long it took and where they are."""
     start = time.perf_counter()
     found = list(dispatchers())
     for dispatcher in found:
@@ -60,14 +60,14 @@ def run(_: argparse.Namespace) -> int:
 
 
 def dispatchers() -> Iterator[Dispatcher]:
-    """Every kernel of the package."""
+    """Yield every kernel of the package."""
     for info in pkgutil.iter_modules(kernels.__path__, kernels.__name__ + "."):
         module = importlib.import_module(info.name)
         yield from (v for v in vars(module).values() if isinstance(v, Dispatcher) and v.__module__ == info.name)
 
 
 def exercise() -> None:
-    """Have a tracker do everything it can: every preset, colour and grey, learning, lost, restored; mend a JPEG."""
+    """Run every kernel: all presets on color and gray, learning, lost and restored; mend a JPEG."""
     mend(simplejpeg.encode_jpeg(np.zeros((8, 8, 3), np.uint8)))
     for gray in (False, True):
         clip = synthetic.clip("motion", size=(96, 72), target=(18, 14), length=4, gray=gray)
@@ -81,17 +81,17 @@ def exercise() -> None:
 
 
 def help_out() -> None:
-    """Compile what a tracker needs that looks at sizes and colours alone: about a third of all."""
+    """Compile the kernels of a tracker with colors and scales only: a third of all, for the second process."""
     clip = synthetic.clip("motion", size=(96, 72), target=(18, 14), length=2)
     for _ in MFCMT(MFCMTConfig.default().replace(features=(), **ALWAYS)).track(clip.frames, clip.boxes[0]):
         pass
 
 
 class _Compiling(event.Listener):
-    """Tells how many kernels are there while some are compiled, a part of them by a second process."""
+    """Prints how many kernels are ready while they are compiled. A second process compiles some of them."""
 
     def __init__(self, found: list[Dispatcher]) -> None:
-        self._found, self._told, self._since = found, 0, time.time()
+        self._found, self._printed, self._since = found, 0, time.time()
         self._helper: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> Self:
@@ -102,49 +102,49 @@ class _Compiling(event.Listener):
         event.unregister("numba:compile", self)
         if self._helper:
             self._helper.wait()
-        if self._told:
-            self._tell(len(self._found))
+        if self._printed:
+            self._print(len(self._found))
             print(end="\n" if sys.stdout.isatty() else "", flush=True)
 
     def on_start(self, event: event.Event) -> None:
-        """Begin, when the first kernel turns out to be missing."""
-        if event.data["dispatcher"] not in self._found or self._told:
+        """Start to print, and start the second process, when the first kernel is missing."""
+        if event.data["dispatcher"] not in self._found or self._printed:
             return
         print("compiling the kernels for this CPU, once: up to a minute", flush=True)
-        self._tell(self._ready())
+        self._print(self._ready())
         if (os.cpu_count() or 1) > 1 and event.data["dispatcher"].stats.cache_path:
             self._helper = subprocess.Popen([sys.executable, "-c", HELP], stdin=subprocess.DEVNULL)  # noqa: S603
 
     def on_end(self, event: event.Event) -> None:
-        """Count."""
+        """Print the new count."""
         if event.data["dispatcher"] in self._found:
-            self._tell(self._ready())
+            self._print(self._ready())
 
     def _ready(self) -> int:
-        """How many kernels are loaded here or have been written by now."""
+        """Return how many kernels are loaded here or were written to the cache."""
         folders = {Path(d.stats.cache_path) for d in self._found if d.stats.cache_path}
         files = [file for folder in folders for file in folder.glob("*.nbi") if file.stat().st_mtime >= self._since]
         written = {file.name.partition("-")[0] for file in files}
         return sum(bool(d.overloads) or _stem(d) in written for d in self._found)
 
-    def _tell(self, ready: int) -> None:
-        """Write over the last count on a terminal; elsewhere a line for every tenth kernel."""
+    def _print(self, ready: int) -> None:
+        """Overwrite the last count on a terminal. Elsewhere, print a line for every tenth kernel."""
         text = f"  {ready} of {len(self._found)}"
         if sys.stdout.isatty():
             print(f"\r{text}", end="", flush=True)
-        elif ready // 10 > self._told // 10:
+        elif ready // 10 > self._printed // 10:
             print(text, flush=True)
-        self._told = max(ready, 1)
+        self._printed = max(ready, 1)
 
 
 def _stem(dispatcher: Dispatcher) -> str:
-    """What the names of the kernel's files begin with."""
+    """Return what the names of the kernel's cache files begin with."""
     code = dispatcher.py_func.__code__
     return f"{Path(code.co_filename).stem}.{code.co_name}"
 
 
 def _copy_prebuilt(dispatcher: Dispatcher) -> None:
-    """Fill the kernel's cache folder, while it is empty, from the one beside its source."""
+    """Copy the kernel's files beside its source to its cache folder, if that has none."""
     if not dispatcher.stats.cache_path:
         return
     folder, source = Path(dispatcher.stats.cache_path), Path(dispatcher.py_func.__code__.co_filename)

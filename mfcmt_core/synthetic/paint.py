@@ -43,7 +43,7 @@ LIVERIES = [
 def noise(
     rng: np.random.Generator, height: int, width: int, cell: float, octaves: int = 5, stretch: float = 1.0
 ) -> Picture:
-    """Return fractal value noise (height, width) in [0, 1], whose largest cells are ``cell`` × ``cell·stretch`` pixels."""
+    """Return fractal value noise (height, width) in [0, 1], with cells of up to ``cell`` × ``cell·stretch`` pixels."""
     total, weight, norm = np.zeros((height, width), np.float32), 1.0, 0.0
     for _ in range(octaves):
         rows, cols = int(height / cell) + 3, int(width / (cell * stretch)) + 3

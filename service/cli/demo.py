@@ -9,8 +9,7 @@ import threading
 import webbrowser
 from types import FrameType
 
-from mfcmt_core.cli import UsageError
-from mfcmt_core.cli.screen import has_screen
+from mfcmt_core.cli import UsageError, has_screen
 
 from ..load.own import OwnServer, ServerFailed
 from . import terminal

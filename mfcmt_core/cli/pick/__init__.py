@@ -1,8 +1,8 @@
-"""A page on which a person draws the box: served on the loopback interface for this one choice.
+"""A page on which a person draws the box, served on the loopback interface for this one choice.
 
-The address carries a token behind ``#``, which browsers do not send; the page hands it over once for a key
-that all further calls need. Requests for another host's name (DNS rebinding) or from another origin are
-refused, the page may load nothing but its own two files, and the server ends with the choice.
+The address carries a token after ``#``, which browsers do not send. The page exchanges it once for a key that all
+further calls need. Requests for another host name (DNS rebinding) or from another origin are refused, the page may load
+only its own two files, and the server ends with the choice.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ...result import Box
-from ..screen import has_screen
+from .. import has_screen
 
 PAGES = {
     "/": ("page.html", "text/html; charset=utf-8"),
@@ -45,13 +45,13 @@ LARGEST_BODY = 65536  # bytes
 
 
 def pick_box(frame: npt.NDArray[np.uint8], *, browser: bool = True) -> Box:
-    """Let a person draw a box on ``frame``; blocks until that is done. KeyboardInterrupt ends it."""
+    """Let a person draw a box on ``frame`` (H, W, 3) and return it. Blocks until then; KeyboardInterrupt ends it."""
     with PickServer(frame) as server:
         threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True).start()
         print(f"draw the box at {server.address}", file=sys.stderr, flush=True)
         if browser and has_screen():
             webbrowser.open(server.address)
-        while not server.chosen.wait(0.5):  # short waits, so that Ctrl-C is heard everywhere
+        while not server.chosen.wait(0.5):  # short waits, so that Ctrl-C works on all systems
             pass
         server.shutdown()
         assert server.box is not None
@@ -59,7 +59,7 @@ def pick_box(frame: npt.NDArray[np.uint8], *, browser: bool = True) -> Box:
 
 
 class PickServer(ThreadingHTTPServer):
-    """Serves one frame to one page; ``chosen`` is set when ``box`` is there."""
+    """Serves one frame to one page. ``chosen`` is set once ``box`` is known."""
 
     daemon_threads = True
 
@@ -76,7 +76,7 @@ class PickServer(ThreadingHTTPServer):
         self.address = f"http://{self.host}/#{self.token}"
 
     def claim(self, token: str) -> str | None:
-        """The key, for the first who has the token."""
+        """Return the key to the first caller with the token, None to any other."""
         with self.lock:
             if self.token is None or not secrets.compare_digest(token.encode(), self.token.encode()):
                 return None
@@ -84,13 +84,13 @@ class PickServer(ThreadingHTTPServer):
             return self.key
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A connection that breaks off is not worth a traceback."""
+        """Ignore connections that break off."""
 
 
 class _Handler(BaseHTTPRequestHandler):
     server: PickServer
     server_version, sys_version = "mfcmt", ""
-    timeout = 20  # s a silent connection may stay
+    timeout = 20  # seconds until a silent connection is closed
 
     def do_GET(self) -> None:
         if not self._admitted():
@@ -104,7 +104,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.NOT_FOUND)
 
     def do_POST(self) -> None:
-        body = self._body()  # read also what will be refused: closing on unread bytes would drop the answer
+        body = self._body()  # read even if refused: closing with unread bytes would drop the answer
         if not self._admitted():
             return
         if "Origin" not in self.headers:
@@ -152,7 +152,7 @@ class _Handler(BaseHTTPRequestHandler):
         return False
 
     def _body(self) -> dict[str, Any] | None:
-        """The JSON object that was sent, or None."""
+        """Return the JSON object in the request, or None."""
         length = self.headers.get("Content-Length", "")
         if not (length.isascii() and length.isdigit() and int(length) <= LARGEST_BODY):
             return None
@@ -175,4 +175,4 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Quiet."""
+        """Log nothing."""
