@@ -31,8 +31,8 @@ def load_tool(name: str) -> Command:
 
 COMMANDS = {
     "serve": Entry.of("service.cli.serve", "run the tracking service"),
-    "health": Entry.of("service.cli.health", "ask a running service on this machine how it is: exit code 0 or 1"),
+    "health": Entry.of("service.cli.health", "check a running service on this machine: exit code 0 or 1"),
     "load": Entry.of("service.cli.load", "drive a service with real frames and measure it"),
-    "demo": Entry.of("service.cli.demo", "open the page with the sample clip, on a service of its own"),
+    "demo": Entry.of("service.cli.demo", "start a service and open its page with the sample clip"),
     **{name: Entry(summary, partial(load_tool, name)) for name, summary in TOOLS.items()},
 }
