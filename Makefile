@@ -48,10 +48,11 @@ test-fast: $(DEVELOPMENT) warmup  ## run the tests of every part that need no mi
 fresh:  ## run both commands in a new minimal Debian (SUITE=trixie); as root, needs debootstrap
 	.ci/fresh $(SUITE)
 
-lint: $(DEVELOPMENT)  ## ruff and mypy
+lint: $(DEVELOPMENT)  ## ruff and mypy, and whether what is made from the protocol is fresh
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/python -m tests.docs.protocol --check
 
 bench: warmup  ## milliseconds a frame, stage by stage
 	$(BIN)/mfcmt bench
@@ -74,8 +75,9 @@ reproduce: warmup $(PEERS)  ## the paper's section IV on DATA=folder (PUBLISHED=
 	.venv-peers/bin/mfcmt eval --data "$(DATA)" --protocol $(PROTOCOL) --trackers opencv-csrt opencv-kcf opencv-mosse dlib
 	$(BIN)/mfcmt eval --data "$(DATA)" --protocol $(PROTOCOL) --reproduce docs/evaluation $(if $(PUBLISHED),--published "$(PUBLISHED)")
 
-guide: $(DEVELOPMENT)  ## write the tables of docs/operations.md that come from the code
+guide: $(DEVELOPMENT)  ## write the tables of docs, and the types of mfcmt.d.ts, that come from the code
 	$(BIN)/python -m tests.docs.tables
+	$(BIN)/python -m tests.docs.protocol
 
 lock:  ## refresh the lock files (needs uv)
 	$(LOCK) pyproject.toml --all-extras -o requirements-dev.lock

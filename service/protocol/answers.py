@@ -162,12 +162,19 @@ class Ready:
 class ProblemDocument:
     """An RFC 9457 problem, with the code that programs decide by."""
 
+    OPTIONAL: ClassVar = ("retry_after_s", "reason", "region", "request_id")
+
     type: str
     title: str
     status: int = field(metadata={"ge": 400, "le": 599})
     detail: str
     code: str
-    retry_after_s: float = field(default=0, metadata={"ge": 0})
+    retry_after_s: float = field(
+        default=0, metadata={"ge": 0, "description": "seconds after which trying again makes sense"}
+    )
+    reason: str | None = field(default=None, metadata={"description": "how a session ended"})
+    region: Region | None = field(default=None, metadata={"description": "what a region must cover"})
+    request_id: str | None = field(default=None, metadata={"description": "finds a fault of the service in its log"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,12 +203,12 @@ class Targets:
 
 @dataclass(frozen=True, slots=True)
 class Draining:
-    """The server is going away; where sessions outlive it, they are resumed under the same id."""
+    """The service shuts down; where sessions outlive it, they are resumed under the same id."""
 
     TYPE: ClassVar = "draining"
 
     reconnect_in_s: float = field(metadata={"ge": 0})
-    resumable: bool = field(metadata={"description": "sessions outlive the process, which has a state directory"})
+    resumable: bool = field(metadata={"description": "whether sessions outlive the process"})
 
 
 @dataclass(frozen=True, slots=True)

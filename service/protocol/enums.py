@@ -86,7 +86,10 @@ class LaneLoss(StrEnum):
 
 
 class ProblemCode(StrEnum):
-    """Why a call, a message or a handshake was refused; ``problems.CATALOGUE`` says more about each."""
+    """Why a call, a message or a handshake was refused.
+
+    ``problems.CATALOGUE`` has the status and the title of each.
+    """
 
     BAD_REQUEST = "bad-request"
     UNAUTHENTICATED = "unauthenticated"

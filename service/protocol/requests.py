@@ -135,14 +135,25 @@ class Options:
 
     __pydantic_config__: ClassVar = {"extra": "forbid"}
 
-    preset: Preset = Preset.DEFAULT
+    preset: Preset = field(
+        default=Preset.DEFAULT, metadata={"description": "configuration of the tracker: `default` or `paper`"}
+    )
     idle_timeout_s: float | None = field(
-        default=None, metadata={"ge": LEAST_IDLE_S, "allow_inf_nan": False, "strict": True}
+        default=None,
+        metadata={
+            "ge": LEAST_IDLE_S,
+            "allow_inf_nan": False,
+            "strict": True,
+            "description": "seconds without a frame or call after which the session ends",
+        },
     )
     on_resize: Resize = field(
-        default=Resize.REJECT, metadata={"description": "what a frame of another size does to the session"}
+        default=Resize.REJECT,
+        metadata={"description": "what a frame of another size does to the session: `reject` or `rescale`"},
     )
-    label: str | None = field(default=None, metadata={"max_length": 200, "strict": True})
+    label: str | None = field(
+        default=None, metadata={"max_length": 200, "strict": True, "description": "echoed; at most 200 characters"}
+    )
     maps: bool = field(default=False, metadata={"description": "response maps in every result", "strict": True})
 
 

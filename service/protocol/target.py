@@ -49,14 +49,28 @@ class Target:
     OPTIONAL: ClassVar = ("maps",)
 
     id: int = field(metadata={"ge": 0, "description": "unique in the session; the first is 0"})
-    box: Box = field(metadata=BOX_SAID)
-    status: Status
-    reliable: bool | None = field(
-        metadata={"description": "all three flags; null on the frame that started the target"}
+    box: Box = field(metadata={**BOX_SAID, "description": f"{BOX_SAID['description']}; the last known one while lost"})
+    status: Status = field(
+        metadata={
+            "description": "`tracking`, `uncertain` (a reliability test failed in this frame) or `lost` (not found for"
+            " long enough; the search goes on)"
+        }
     )
-    flags: Flags | None
-    scores: Scores | None
-    psr: float | None = field(metadata={"description": "peak-to-sidelobe ratio of the fused map"})
+    reliable: bool | None = field(
+        metadata={
+            "description": "all three flags; null on the frame that started or corrected the target, as are `flags`,"
+            " `scores` and `psr`"
+        }
+    )
+    flags: Flags | None = field(
+        metadata={"description": "`{fused, template, statistical}`: the three tests of section III-C"}
+    )
+    scores: Scores | None = field(
+        metadata={"description": "`{fused, template, statistical}`: each peak over its mean of the last 10 frames"}
+    )
+    psr: float | None = field(
+        metadata={"description": "peak-to-sidelobe ratio of the fused map, without 11×11 around the peak"}
+    )
     updated: bool = field(metadata={"description": "whether the models learned from this frame"})
     scale: float = field(metadata={"gt": 0, "description": "size relative to the box given"})
     # What is added goes here, with a default.

@@ -8,10 +8,7 @@ export type Region = [number, number, number, number];
 /** `[w, h]` in pixels. */
 export type Size = [number, number];
 
-export type Mode = "latest" | "lossless";
 export type Codec = "json" | "msgpack";
-export type ImageType = "image/jpeg" | "image/png" | "image/webp";
-export type TargetStatus = "tracking" | "uncertain" | "lost";
 /** One value for each of: the fused map, the template map, the statistical map. */
 export interface PerMap<T> {
   fused: T;
@@ -19,34 +16,115 @@ export interface PerMap<T> {
   statistical: T;
 }
 
+// Generated from service/protocol by `make guide`; do not edit.
+
+/** How a stream treats frames that arrive faster than they are tracked. */
+export type Mode = "latest" | "lossless";
+/** How a target stands in a frame. */
+export type TargetStatus = "tracking" | "uncertain" | "lost";
+/** A named configuration of the tracker. */
+export type Preset = "default" | "paper";
+/** What a frame of another size does to a session. */
+export type Resize = "reject" | "rescale";
+/** A format in which past results are written. */
+export type TrajectoryFormat = "json" | "csv" | "otb" | "mot";
+/** Why a session ended. */
+export type EndReason = "closed" | "idle" | "expired" | "lost";
+/** Why a call, a message or a handshake was refused. */
+export type ProblemCode = "bad-request" | "unauthenticated" | "origin-refused" | "not-found" | "session-not-found"
+  | "target-not-found" | "method-not-allowed" | "not-acceptable" | "attached-elsewhere" | "stale-frame"
+  | "full-frame-needed" | "session-gone" | "host-refused" | "frame-too-large" | "body-too-large" | "unsupported-image"
+  | "unsupported-media-type" | "frame-undecodable" | "frame-size-changed" | "bad-box" | "bad-region" | "bad-snapshot"
+  | "too-many-targets" | "over-credit" | "rate-limited" | "over-quota" | "internal" | "at-capacity" | "draining"
+  | "deadline-exceeded";
+export type ImageType = "image/jpeg" | "image/png" | "image/webp";
+
+/** The three tests of section III-C. */
+export interface Flags {
+  fused: boolean;
+  template: boolean;
+  statistical: boolean;
+}
+
+/** Each peak over its mean of the last 10 frames. */
+export interface Scores {
+  fused: number;
+  template: number;
+  statistical: number;
+}
+
+/** Where a target is and how far to trust it. */
 export interface Target {
+  /** Unique in the session; the first is 0. */
   id: number;
+  /**
+   * `[x, y, w, h]`: pixels of the whole frame after EXIF orientation, 0-based, top-left corner; the last known one
+   * while lost.
+   */
   box: Box;
+  /**
+   * `tracking`, `uncertain` (a reliability test failed in this frame) or `lost` (not found for long enough; the search
+   * goes on).
+   */
   status: TargetStatus;
-  /** All three flags; null, as `flags`, `scores` and `psr`, on the frame that started the target. */
+  /** All three flags; null on the frame that started or corrected the target, as are `flags`, `scores` and `psr`. */
   reliable: boolean | null;
-  flags: PerMap<boolean> | null;
-  scores: PerMap<number> | null;
+  /** `{fused, template, statistical}`: the three tests of section III-C. */
+  flags: Flags | null;
+  /** `{fused, template, statistical}`: each peak over its mean of the last 10 frames. */
+  scores: Scores | null;
+  /** Peak-to-sidelobe ratio of the fused map, without 11×11 around the peak. */
   psr: number | null;
+  /** Whether the models learned from this frame. */
   updated: boolean;
+  /** Size relative to the box given. */
   scale: number;
-  /** Response maps as PNG images (with the option `maps`); bytes in both subprotocols. */
+  /** Response maps as grey PNG, base64 in JSON, where `maps` was asked for. */
   maps?: Record<string, Uint8Array<ArrayBuffer>> | null;
 }
 
-export interface Result {
-  type: "result";
-  seq: number;
-  ts: number | string | null;
-  size: Size;
-  /** Frames that newer ones replaced on the server since the previous result. */
-  dropped: number;
-  region: Region | null;
-  targets: Target[];
-  /** Null in a result that was fetched after a reconnect. */
-  timing: { queue_ms: number; decode_ms: number; track_ms: number } | null;
+/** Where the service spent its time, in milliseconds of the monotonic clock. */
+export interface Timing {
+  queue_ms: number;
+  decode_ms: number;
+  track_ms: number;
 }
 
+/** What the trackers found in one frame. */
+export interface Result {
+  type: "result";
+  /** Number of a frame message. */
+  seq: number;
+  /** Echoed, never interpreted. */
+  ts: number | string | null;
+  size: Size;
+  /** Frames superseded since the previous result. */
+  dropped: number;
+  /** `[x, y, w, h]` in whole pixels of the frame. */
+  region: Region | null;
+  targets: Target[];
+  timing: Timing | null;
+}
+
+/** One tracked frame of the past. */
+export interface PastResult {
+  /** Number of a frame message. */
+  seq: number;
+  /** Echoed, never interpreted. */
+  ts: number | string | null;
+  size: Size;
+  /** `[x, y, w, h]` in whole pixels of the frame. */
+  region: Region | null;
+  targets: Target[];
+}
+
+/** Where frames are streamed to. */
+export interface StreamAddress {
+  url: string;
+  attached: boolean;
+}
+
+/** A session as it is now; `seq` is the last frame tracked. */
 export interface SessionInfo {
   id: string;
   created_at: string;
@@ -54,56 +132,132 @@ export interface SessionInfo {
   label: string | null;
   preset: string;
   size: Size;
+  /** Number of a frame message. */
   seq: number;
+  /** `[x, y, w, h]` in whole pixels of the frame. */
   region: Region | null;
   targets: Target[];
-  stream: { url: string; attached: boolean };
+  stream: StreamAddress;
 }
 
+/** The first message of the service, once. */
 export interface Ready {
   type: "ready";
   session: SessionInfo;
   mode: Mode;
+  /** Unanswered frames allowed; null in `latest`. */
   credit: number | null;
+  /** Frames in flight that regions leave room for. */
   region_lag: number;
+  /** The number that the next frame takes. */
   next_seq: number;
+  /** Name of this attachment, for `resume`. */
   attachment: string;
-  /** After a breakdown of the service: the last frame that the session knows; null otherwise. */
+  /**
+   * After a breakdown of the service, until a frame is tracked: the last frame that the session knows; what it learned
+   * from later ones is lost.
+   */
   lost_after: number | null;
 }
 
+/** The targets after a control, or after a change over HTTP. */
 export interface TargetsMessage {
   type: "targets";
+  /** Echoed in the answer. */
   ref?: number | string;
+  /** `[x, y, w, h]` in whole pixels of the frame. */
   region: Region | null;
   targets: Target[];
 }
 
+/** A target that was added or corrected, and the region that is needed from now on. */
 export interface TargetChange {
   target: Target;
+  /** `[x, y, w, h]` in whole pixels of the frame. */
   region: Region | null;
 }
 
+/** One handshake: offer the subprotocol `mfcmt.ticket.TICKET` beside the one you speak. */
 export interface Ticket {
   ticket: string;
   expires_at: string;
 }
 
-export interface PastResult {
-  seq: number;
-  ts: number | string | null;
-  size: Size;
-  region: Region | null;
-  targets: Target[];
+/** What the service accepts. */
+export interface Limits {
+  max_frame_bytes: number;
+  max_frame_pixels: number;
+  max_frame_side_px: number;
+  max_frame_scans: number;
+  max_frame_scan_pixels: number;
+  max_json_frame_bytes: number;
+  max_body_bytes: number;
+  max_snapshot_bytes: number;
+  max_targets_per_session: number;
+  max_sessions_per_key: number;
+  max_streams_per_key: number;
+  max_trajectory_bytes: number;
+  idle_timeout_s: number;
+  max_idle_timeout_s: number;
+  attached_idle_timeout_s: number;
+  max_session_s: number;
+  operation_deadline_s: number;
+  credit_frames: number;
+  region_lag_frames: number;
+  max_messages_per_s: number;
+  max_requests_per_s: number;
+  max_frames_per_s_per_key: number;
+  max_frame_bytes_per_s_per_key: number;
+  ticket_s: number;
+  max_ticket_s: number;
 }
 
+/** What this service can do. */
+export interface Capabilities {
+  /** Version of the wire protocol. */
+  protocol: number;
+  subprotocols: string[];
+  modes: string[];
+  presets: string[];
+  image_types: string[];
+  trajectory_formats: string[];
+  snapshot_versions: number[];
+  limits: Limits;
+  software: Record<string, string>;
+}
+
+/** An RFC 9457 problem, with the code that programs decide by. */
+export interface ProblemDocument {
+  type: string;
+  title: string;
+  status: number;
+  detail: string;
+  code: string;
+  /** Seconds after which trying again makes sense. */
+  retry_after_s?: number;
+  /** How a session ended. */
+  reason?: string;
+  /** What a region must cover. */
+  region?: Region | null;
+  /** Finds a fault of the service in its log. */
+  request_id?: string;
+  [member: string]: unknown;
+}
+
+/** How a session tracks and how long it waits. */
 export interface SessionOptions {
-  preset?: "default" | "paper";
+  /** Configuration of the tracker: `default` or `paper`. */
+  preset?: Preset;
+  /** Seconds without a frame or call after which the session ends. */
   idle_timeout_s?: number;
-  on_resize?: "reject" | "rescale";
+  /** What a frame of another size does to the session: `reject` or `rescale`. */
+  on_resize?: Resize;
+  /** Echoed; at most 200 characters. */
   label?: string;
+  /** Response maps in every result. */
   maps?: boolean;
 }
+// End of the generated part
 
 /** An encoded still image. */
 export type Encoded = Blob | ArrayBuffer | ArrayBufferView;
@@ -117,28 +271,6 @@ export type Pixels =
   | ImageData
   | VideoFrame;
 export type Source = Encoded | Pixels;
-
-export type ProblemCode =
-  | "bad-request" | "unauthenticated" | "origin-refused" | "host-refused" | "not-found" | "method-not-allowed"
-  | "not-acceptable"
-  | "unsupported-media-type" | "session-not-found" | "target-not-found" | "attached-elsewhere" | "stale-frame"
-  | "full-frame-needed" | "session-gone" | "frame-too-large" | "body-too-large" | "unsupported-image"
-  | "frame-undecodable" | "frame-size-changed" | "bad-box" | "bad-region" | "bad-snapshot" | "too-many-targets"
-  | "over-credit" | "over-quota" | "rate-limited" | "internal" | "at-capacity" | "draining" | "deadline-exceeded";
-
-/** The problem document of RFC 9457, as the server sends it. */
-export interface ProblemDocument {
-  type: string;
-  title: string;
-  status: number;
-  detail: string;
-  code: string;
-  retry_after_s?: number;
-  reason?: string;
-  region?: Region | null;
-  request_id?: string;
-  [member: string]: unknown;
-}
 
 /**
  * Everything this client throws on purpose. `code` is one of the protocol's problems (with the status 0 where the client
@@ -379,7 +511,7 @@ export class Session {
   removeTarget(target: number): Promise<void>;
   /** All results so far, or those after a `seq`. */
   trajectory(options?: { format?: "json"; after?: number; target?: number }): Promise<PastResult[]>;
-  trajectory(options: { format: "csv" | "otb" | "mot"; after?: number; target?: number }): Promise<string>;
+  trajectory(options: { format: Exclude<TrajectoryFormat, "json">; after?: number; target?: number }): Promise<string>;
   /** The session's whole state, for `Client.restoreSession`. */
   snapshot(): Promise<Uint8Array<ArrayBuffer>>;
   /** Admits one handshake of this session within `ttlS` seconds. */
@@ -399,7 +531,7 @@ export class Client {
   sessions(): AsyncIterableIterator<SessionInfo>;
   ticket(id: string, ttlS?: number): Promise<Ticket>;
   /** Limits, presets, image types, versions. */
-  capabilities(): Promise<Record<string, any>>;
+  capabilities(): Promise<Capabilities>;
   /** Attach to a session known by its id alone: with `ticket`, no key is needed. */
   stream(id: string, options?: StreamOptions): Stream;
 }

@@ -11,7 +11,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from tests.conftest import ROOT, require
+from tests.conftest import require
+from tests.docs import typescript
 
 from .conftest import HERE, PACKAGE
 
@@ -78,25 +79,8 @@ def test_no_module_is_long_or_reaches_outside() -> None:
         assert not re.search(r"\beval\(|new Function|https?://(?!127\.0\.0\.1)", text)
 
 
-def test_messages_name_the_fields_of_the_schema() -> None:
-    """The README's tables and the types follow the wire: every field of a Target and a Result is declared."""
-    from service.schemas.session import PastResult, Problem, Result, Session, Target, Timing
-
-    text = (PACKAGE / "mfcmt.d.ts").read_text()
-    for name, model in {
-        "Target": Target,
-        "Result": Result,
-        "SessionInfo": Session,
-        "PastResult": PastResult,
-        "ProblemDocument": Problem,
-    }.items():
-        body = re.search(rf"export interface {name} {{(.*?)\n}}", text, re.S)
-        assert body is not None
-        declared = set(re.findall(r"^  (\w+)\??:", body[1], re.M))
-        assert set(model.model_fields) <= declared, name
-    for field in Timing.model_fields:
-        assert field in text
-    catalogue = (ROOT / "service" / "problems.py").read_text()
-    codes = re.search(r"type ProblemCode =(.*?);", text, re.S)
-    assert codes is not None
-    assert set(re.findall(r'"([a-z-]+)"', codes[1])) == set(re.findall(r'^    "([a-z-]+)": Kind', catalogue, re.M))
+def test_the_types_are_those_of_the_protocol() -> None:
+    """`make guide` writes them."""
+    text = typescript.DECLARATIONS.read_text()
+    assert typescript.fresh(text) == text
+    assert "export interface Result {" in typescript.generated()

@@ -30,21 +30,6 @@ def check(document: dict[str, Any], schema: dict[str, Any], value: Any) -> None:
     Draft202012Validator({**schema, "components": document["components"]}).validate(value)
 
 
-def test_the_catalogue_is_that_of_the_protocol() -> None:
-    rows = re.findall(r"^\| (`[^|]*) \| ([\d, ]+) \|", PROTOCOL.read_text().split("## Problems")[1], re.M)
-    told = {}
-    for codes, statuses in rows:
-        names = re.findall(r"`([a-z-]+)`", codes)
-        numbers = [int(n) for n in statuses.split(",")]
-        told |= dict(zip(names, numbers if len(numbers) > 1 else numbers * len(names), strict=True))
-    assert told == {code: kind.status for code, kind in CATALOGUE.items()}
-
-
-def test_the_close_codes_are_those_of_the_protocol() -> None:
-    line = PROTOCOL.read_text().split("Close codes: ")[1].split("\n")[0]
-    assert {int(n) for n in re.findall(r"(?:^|· )(\d{4})", line)} == set(asyncapi.close_codes())
-
-
 def test_every_call_of_the_protocol_is_documented(openapi: dict[str, Any]) -> None:
     rows = re.findall(r"^\| `(GET|POST|PUT|DELETE) (/v1[^`?]*)", PROTOCOL.read_text(), re.M)
     told = {
