@@ -38,7 +38,6 @@ def test_the_types_have_every_problem_code() -> None:
 
 def test_links_within_the_document_lead_somewhere() -> None:
     text = protocol.DOCUMENT.read_text(encoding="utf-8")
-    headings = {
-        re.sub(r"[^a-z -]", "", line.lower()).replace(" ", "-") for line in re.findall(r"^#+ (.*)$", text, re.M)
-    }
+    headings = re.findall(r"^#+ (.*)$", text, re.M)
+    anchors = {re.sub(r"[^a-z -]", "", heading.lower()).replace(" ", "-") for heading in headings}
     assert set(re.findall(r"\]\(#([a-z-]+)\)", text)) <= anchors
