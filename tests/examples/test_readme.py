@@ -145,8 +145,8 @@ def test_both_readmes_install_the_clients_alike() -> None:
     lines = [line.partition("#")[0].strip() for line in told.splitlines()]
     here = block("sh", "pip install", EXAMPLES_README)
     assert all(line in here for line in lines)
-    assert "httpx2 websockets msgpack" in here
-    assert set(client_needs()) == {"httpx2", "websockets", "msgpack"}
+    assert "httpx2 websockets msgpack pydantic" in here
+    assert set(client_needs()) == {"httpx2", "websockets", "msgpack", "pydantic"}
 
 
 def client_needs() -> list[str]:
