@@ -13,7 +13,7 @@ PROTOCOL ?= ope,tre,sre
 PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 LOCK := uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q -U
 
-.PHONY: help setup warmup serve demo test test-fast fresh lint lock bench peers bench-peers eval reproduce guide clean
+.PHONY: help setup warmup serve demo test test-fast test-docker fresh lint lock bench peers bench-peers eval reproduce guide clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -42,8 +42,11 @@ demo: warmup  ## open the page in the browser, with the sample clip running
 test: $(DEVELOPMENT) warmup  ## run the tests, a process on each core; TESTS="tests/core -k geometry" for some
 	$(PYTEST) $(TESTS)
 
-test-fast: $(DEVELOPMENT) warmup  ## run the tests of every part that need no minute
-	$(PYTEST) -m "not slow and not docker" $(TESTS)
+test-fast: $(DEVELOPMENT) warmup  ## run the tests of every module that take a minute together
+	$(PYTEST) -p no:schemathesis -m "not slow and not docker" $(TESTS)
+
+test-docker: $(DEVELOPMENT) warmup  ## build the image and run it; needs root, buildah, podman, runc, debootstrap
+	$(BIN)/python -m pytest -m docker tests/docker
 
 fresh:  ## run both commands in a new minimal Debian (SUITE=trixie); as root, needs debootstrap
 	.ci/fresh $(SUITE)

@@ -14,11 +14,16 @@ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 
 ROOT = Path(__file__).resolve().parents[1]
 OTB_ROOT = Path(os.environ.get("MFCMT_OTB_ROOT", ROOT.parent / "shared" / "data" / "otb"))
-# Where tests take long: real browsers, many servers, long clips. The rest touches every part of the project.
+# Files and folders of tests by their marker. Slow are many servers and long clips; the rest covers every module.
+BROWSER = ("browser", "service/jsclient/test_browser.py")
+CHAOS = ("chaos",)
 SLOW = (
-    "browser",
-    "chaos",
-    "core/otb",
+    *BROWSER,
+    *CHAOS,
+    "core/otb/test_command.py",
+    "core/otb/test_published.py",
+    "core/otb/test_report.py",
+    "core/otb/test_runner.py",
     "core/test_cli_bench.py",
     "core/test_cli_track.py",
     "core/test_cli_warmup.py",
@@ -39,12 +44,24 @@ SLOW = (
 )
 
 
+MARKED = {
+    marker: [ROOT / "tests" / place for place in places]
+    for marker, places in (("slow", SLOW), ("browser", BROWSER), ("chaos", CHAOS))
+}
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Return True for slow files where no slow test is wanted: to read them would take longer than many tests."""
+    unwanted = "not slow" in config.option.markexpr
+    return (unwanted and any(collection_path.is_relative_to(place) for place in MARKED["slow"])) or None
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark what takes long; where several processes share the tests, put it first, so that they end together."""
-    slow = [ROOT / "tests" / place for place in SLOW]
+    """Mark tests by their place. Where several processes share them, put slow ones first, so that all end together."""
     for item in items:
-        if any(item.path.is_relative_to(place) for place in slow):
-            item.add_marker("slow")
+        for marker, places in MARKED.items():
+            if any(item.path.is_relative_to(place) for place in places):
+                item.add_marker(marker)
     if hasattr(config, "workerinput"):
         items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 

@@ -111,12 +111,14 @@ def test_the_steps_use_the_base_images_pip_though_the_new_environment_comes_firs
 
 
 @pytest.mark.docker
-def test_the_image_is_built_as_written_and_serves_sealed() -> None:
+def test_the_image_is_built_as_written_and_serves_sealed(capsys: pytest.CaptureFixture[str]) -> None:
     require(hasattr(os, "getuid") and os.getuid() == 0, "making a base image needs root")
     for program in ("buildah", "podman", "runc", "debootstrap", "curl"):
         require(shutil.which(program), f"no {program}")
     done = subprocess.run([ROOT / "docker/build_check.sh"], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
+    with capsys.disabled():
+        sys.stdout.write(f"\n{done.stdout}")
+    assert done.returncode == 0, done.stderr
     assert "ended with 0" in done.stdout
 
 
@@ -166,6 +168,7 @@ def listing(folder: Path) -> dict[str, tuple[int, int]]:
     return {str(p): (p.lstat().st_size, p.lstat().st_mtime_ns) for p in folder.rglob("*")}
 
 
+@pytest.mark.docker
 def test_kernels_are_there_for_both_cpus_and_nothing_is_compiled_or_warned_of(container) -> None:
     before = listing(container.opt)
     for cpu in (container.image.env["NUMBA_CPU_NAME"], try_image.OTHER_CPU):
@@ -180,6 +183,7 @@ def test_kernels_are_there_for_both_cpus_and_nothing_is_compiled_or_warned_of(co
     assert listing(container.opt) == before
 
 
+@pytest.mark.docker
 def test_for_a_cpu_that_was_not_thought_of_kernels_are_compiled_in_memory(container) -> None:
     before = listing(container.opt)
     done = container.run(["python", "-c", ONE_KERNEL], NUMBA_CPU_NAME="nehalem")
@@ -187,6 +191,7 @@ def test_for_a_cpu_that_was_not_thought_of_kernels_are_compiled_in_memory(contai
     assert listing(container.opt) == before
 
 
+@pytest.mark.docker
 def test_another_source_time_changes_nothing(container) -> None:
     sources = list(container.opt.rglob("mfcmt_core/kernels/*.py"))
     assert sources
@@ -195,6 +200,7 @@ def test_another_source_time_changes_nothing(container) -> None:
     assert container.run(["python", "-c", PRELOADED]).stdout.split()[0] == "0"
 
 
+@pytest.mark.docker
 def test_a_cache_folder_that_can_only_be_read_is_read(container) -> None:
     folder = container.opt.parent / "cache"
     warm = [container.opt / "bin/mfcmt", "warmup"]
@@ -206,6 +212,7 @@ def test_a_cache_folder_that_can_only_be_read_is_read(container) -> None:
     assert listing(folder) == before
 
 
+@pytest.mark.docker
 def test_it_serves_from_a_tree_that_it_cannot_write(container) -> None:
     before = listing(container.opt)
     with container.serving() as served:

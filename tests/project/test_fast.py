@@ -1,10 +1,11 @@
-"""The tests that `make test-fast` leaves out."""
+"""The markers that tests have by their place."""
 
 from __future__ import annotations
 
-from tests.conftest import ROOT, SLOW
+from tests.conftest import MARKED
 
 
-def test_what_is_called_slow_is_there() -> None:
-    for place in SLOW:
-        assert (ROOT / "tests" / place).exists(), place
+def test_places_of_markers_exist() -> None:
+    for places in MARKED.values():
+        for place in places:
+            assert place.exists(), place
