@@ -10,6 +10,9 @@ from .errors import BadConfig
 
 WindowShape = Literal["target", "context", "square"]
 
+CUES = ("gray", "fhog", "color_names")
+"""The cues of the template models."""
+
 
 @dataclass(frozen=True, slots=True)
 class MFCMTConfig:
@@ -198,9 +201,8 @@ class MFCMTConfig:
         for name in ("joint_filter", "color_histogram", "scale_when_reliable"):
             if not isinstance(getattr(self, name), bool):
                 raise BadConfig(f"{name}={getattr(self, name)!r} is not a boolean")
-        cues = ("gray", "fhog", "color_names")
-        if not set(self.features) <= set(cues) or len(set(self.features)) != len(self.features):
-            raise BadConfig(f"features={self.features!r} are not distinct ones of {cues}")
+        if not set(self.features) <= set(CUES) or len(set(self.features)) != len(self.features):
+            raise BadConfig(f"features={self.features!r} are not distinct ones of {CUES}")
         if not (self.color_histogram or set(self.features) & {"gray", "fhog"}):
             raise BadConfig("a gray target needs color_histogram, or gray or fhog among the features")
         if self.background_interval and self.average != "spectra":

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from .color import Bins, ColorModel
 from .config import MFCMTConfig
+from .features import usable_cues
 from .fourier import Spectra
 from .geometry import CELL, Frame, Image, Patch, Rect, SearchWindow
 from .reliability import Reliability
@@ -89,7 +90,7 @@ class Target:
         self.runner_up: Point | None = None
         self.scale = 1.0
         self.search_window = SearchWindow(config, base_size)
-        cues = [c for c in config.features if not (is_gray and c == "color_names")]
+        cues = usable_cues(config, is_gray)
         self.template = TemplateModel(config, self.search_window, is_gray) if cues else None
         has_color = config.color_histogram or not cues
         self.color = ColorModel(config, self.search_window, is_gray) if has_color else None

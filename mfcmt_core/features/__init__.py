@@ -15,7 +15,10 @@ from ..kernels.hog import CHANNELS, SIGNED, hog_cells
 from ..workspace import scratch
 from .color_names import table
 
-CUES = ("gray", "fhog", "color_names")
+
+def usable_cues(config: MFCMTConfig, is_gray: bool) -> tuple[str, ...]:
+    """Return the cues of a configuration that work on the target: a gray one has no color names."""
+    return tuple(cue for cue in config.features if not (is_gray and cue == "color_names"))
 
 
 def hann_window(cells: int) -> npt.NDArray[np.float32]:
@@ -25,25 +28,22 @@ def hann_window(cells: int) -> npt.NDArray[np.float32]:
 
 
 class FeatureStack:
-    """Extracts the cues of a configuration. ``blocks`` maps each cue to its feature planes.
-
-    A gray sequence gets no color names.
-    """
+    """Extracts the usable cues of a configuration. ``blocks`` maps each of them to its feature planes."""
 
     def __init__(self, config: MFCMTConfig, is_gray: bool) -> None:
         self.cells = config.patch_size // CELL
         self.hann = hann_window(self.cells)
         self.epsilon = np.float32(config.hog_epsilon)
         self.blocks: dict[str, slice] = {}
-        widths = {"gray": 1, "fhog": CHANNELS, "color_names": 0}
-        if not is_gray and "color_names" in config.features:
+        cues = usable_cues(config, is_gray)
+        widths = {"gray": 1, "fhog": CHANNELS}
+        if "color_names" in cues:
             self.names = table(config.color_name_table)
             widths["color_names"] = self.names.shape[1]
         start = 0
-        for cue in config.features:
-            if widths[cue]:
-                self.blocks[cue] = slice(start, start + widths[cue])
-                start += widths[cue]
+        for cue in cues:
+            self.blocks[cue] = slice(start, start + widths[cue])
+            start += widths[cue]
         self.channels = start
 
     def extract(self, patch: Image, gray: Image) -> npt.NDArray[np.float32]:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from mfcmt_core import MFCMT, BadConfig, MFCMTConfig
-from mfcmt_core.features import CUES, FeatureStack, hann_window
+from mfcmt_core.config import CUES
+from mfcmt_core.features import FeatureStack, hann_window
 from mfcmt_core.features.color_names import LEVELS, NAMES, memberships, table
 
 from ..conftest import OTB_ROOT, require
