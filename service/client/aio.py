@@ -35,18 +35,28 @@ from .types import (
 T = TypeVar("T")
 MSGPACK = "application/msgpack"
 SNAPSHOT = "application/vnd.mfcmt.snapshot"
-# A call that may be repeated is tried this often when the server cannot be reached.
+# How often a call that may be repeated is tried while the service cannot be reached.
 ATTEMPTS, RETRY_DELAY_S = 3, 0.1
-# A creation that the service has no lane or place for is tried again for so long.
+# How long a creation is tried again while the service has no ready lane or no place.
 WAIT_S = 30.0
 
 
 class AsyncClient:
     """A client of one service. All calls raise :class:`Problem` and :class:`ConnectionLost`.
 
-    ``url`` is the service's base URL (ValueError for what is none), ``key`` an API key, ``timeout_s`` the limit of
-    one call. A stream whose server answers no ping for ``ping_interval_s`` counts as broken. The environment's
-    proxies (HTTP_PROXY, HTTPS_PROXY, ALL_PROXY) are used except for this machine and for what NO_PROXY names.
+    The environment's proxies (HTTP_PROXY, HTTPS_PROXY, ALL_PROXY) are used, except for this machine and for the hosts
+    in NO_PROXY.
+
+    Parameters
+    ----------
+    url
+        The service's base URL. Raises ValueError for anything else.
+    key
+        An API key.
+    timeout_s
+        Limit of one call, in seconds.
+    ping_interval_s
+        A stream whose service answers no ping for this long counts as broken, in seconds.
     """
 
     def __init__(
@@ -87,10 +97,18 @@ class AsyncClient:
         wait_s: float = WAIT_S,
         **options: Any,
     ) -> AsyncSession:
-        """Start a session on the first frame, an encoded image or its path, with one ``box`` or several ``boxes``.
+        """Start a session on its first frame, with one ``box`` or several ``boxes``.
 
-        A service that has no lane ready yet, or no place, is asked again for ``wait_s`` seconds. ``options`` are the
-        protocol's: ``preset``, ``idle_timeout_s``, ``on_resize``, ``label``, ``maps``.
+        Parameters
+        ----------
+        frame
+            An encoded image, or the path of its file.
+        box, boxes
+            ``(x, y, w, h)`` in pixels of the frame; one of the two is needed.
+        wait_s
+            How long to ask again while the service has no ready lane or no place, in seconds.
+        **options
+            Those of the protocol: ``preset``, ``idle_timeout_s``, ``on_resize``, ``label``, ``maps``.
         """
         body: dict[str, Any] = {"frame": await image_bytes(frame)}
         if box is not None:
@@ -102,15 +120,15 @@ class AsyncClient:
         return await self._create(msgpack.packb(body), MSGPACK, wait_s)
 
     async def restore(self, snapshot: Image, *, wait_s: float = WAIT_S) -> AsyncSession:
-        """Start a session where the one of the snapshot was; ``wait_s`` as in :meth:`create`."""
+        """Start a session that goes on where a snapshot was taken; ``wait_s`` as in :meth:`create`."""
         return await self._create(await image_bytes(snapshot, "a snapshot"), SNAPSHOT, wait_s)
 
     async def session(self, session_id: str) -> AsyncSession:
-        """A session that exists."""
+        """Return a session that exists."""
         return AsyncSession(self, read_answer(SessionInfo, await self.json("GET", f"/v1/sessions/{session_id}")))
 
     async def sessions(self) -> AsyncIterator[SessionInfo]:
-        """The caller's own sessions."""
+        """Yield the caller's own sessions."""
         after = None
         while True:
             page = await self.json("GET", "/v1/sessions", params={} if after is None else {"after": after})
@@ -121,17 +139,17 @@ class AsyncClient:
                 return
 
     async def capabilities(self) -> dict[str, Any]:
-        """Limits, presets, image types and versions."""
+        """Return limits, presets, image types and versions."""
         return dict(await self.json("GET", "/v1/capabilities"))
 
     async def json(self, method: str, path: str, **request: Any) -> Any:
-        """One HTTP call; the decoded answer."""
+        """Make one HTTP call and return the decoded answer."""
         return (await self.call(method, path, **request)).json()
 
     async def call(
         self, method: str, path: str, *, headers: Mapping[str, str] | None = None, **request: Any
     ) -> httpx2.Response:
-        """One HTTP call; repeated when the server cannot be reached and the call may be."""
+        """Make one HTTP call, again while the service cannot be reached if the call may be repeated."""
         headers = dict(headers or {})
         attempts = ATTEMPTS if method != "POST" or "Idempotency-Key" in headers else 1
         for attempt in range(1, attempts + 1):
@@ -151,7 +169,7 @@ class AsyncClient:
         raise problem
 
     async def settle(self, session_id: str) -> None:
-        """Wait until the streams of a session whose loops were left have ended."""
+        """Wait until those streams of a session have ended whose loops were left."""
         for stream in [stream for stream in self._streams if stream.left and stream.session_id == session_id]:
             await stream.aclose()
             self._streams.discard(stream)
@@ -175,7 +193,7 @@ class AsyncClient:
 
 
 class AsyncSession:
-    """One session; ``async with`` closes it at the end. ``info`` is what the server last said of it."""
+    """One session; ``async with`` closes it at the end. ``info`` is the session as the service described it last."""
 
     def __init__(self, client: AsyncClient, info: SessionInfo) -> None:
         self._client = client
@@ -193,7 +211,7 @@ class AsyncSession:
         await self.close()
 
     async def refresh(self) -> SessionInfo:
-        """Ask the server for the session again."""
+        """Ask the service for the session again, and return it."""
         self.info = read_answer(SessionInfo, await self._client.json("GET", self._path))
         return self.info
 
@@ -202,7 +220,7 @@ class AsyncSession:
         await self._client.call("DELETE", self._path)
 
     async def track(self, frame: Image | Frame) -> Result:
-        """One frame over HTTP; streams are faster."""
+        """Track one frame over HTTP and return its result; streams are faster."""
         frame = await as_frame(frame)
         await self._client.settle(self.id)
         body = {"frame": frame.data, "seq": frame.seq, "ts": frame.ts, "region": frame.region}
@@ -212,12 +230,12 @@ class AsyncSession:
         return read_answer(Result, answer)
 
     async def add_target(self, box: Iterable[float]) -> TargetChange:
-        """Start another target on the newest frame."""
+        """Start another target on the newest frame, and return it."""
         body = {"box": numbers(box)}
         return read_answer(TargetChange, await self._client.json("POST", f"{self._path}/targets", json=body))
 
     async def correct_target(self, target: int, box: Iterable[float]) -> TargetChange:
-        """Put a target right on the newest frame."""
+        """Put a target right on the newest frame, and return it."""
         body = {"box": numbers(box)}
         answer = await self._client.json("PUT", f"{self._path}/targets/{target}", json=body)
         return read_answer(TargetChange, answer)
@@ -243,7 +261,7 @@ class AsyncSession:
         after: int | None = None,
         target: int | None = None,
     ) -> list[Result] | str:
-        """All results so far, or those after a ``seq``: as results, or as text in a format of the field."""
+        """Return all results so far, or those after a ``seq``: as results, or as text in one of the other formats."""
         params = {"format": format, "after": after, "target": target}
         params = {name: value for name, value in params.items() if value is not None}
         answer = await self._client.call("GET", f"{self._path}/trajectory", params=params)
@@ -252,11 +270,11 @@ class AsyncSession:
         return [read_past_result(result) for result in answer.json()["results"]]
 
     async def snapshot(self) -> bytes:
-        """The session's whole state, for :meth:`AsyncClient.restore`."""
+        """Return the session's whole state, for :meth:`AsyncClient.restore`."""
         return (await self._client.call("GET", f"{self._path}/snapshot")).content
 
     async def ticket(self, ttl_s: float | None = None) -> Ticket:
-        """A ticket that admits a browser's next handshake to this session."""
+        """Return a ticket that admits one handshake of a browser to this session, within ``ttl_s`` seconds."""
         body = {} if ttl_s is None else {"ttl_s": ttl_s}
         return read_answer(Ticket, await self._client.json("POST", f"{self._path}/ticket", json=body))
 
@@ -273,14 +291,30 @@ class AsyncSession:
         protocol: Protocol = "mfcmt.v1.msgpack",
         reconnect_for_s: float = 60.0,
     ) -> AsyncStream[T]:
-        """Send ``frames`` (``bytes``, paths or :class:`Frame`) and iterate over what was found in them.
+        """Send ``frames`` and return a stream to iterate over their results; see :class:`AsyncStream`.
 
-        ``latest`` drops frames that newer ones overtake; ``lossless`` answers every one and sends no faster
-        than that. With ``encode(image, region)`` frames may be anything: it is called, in a thread, with
-        each of them and the part that is needed (None: the whole) and returns that part as an image; it
-        pays where bandwidth or decoding is dear. A broken connection is resumed, also through a restart of the
-        service and while others that do not know the session stand in for it, for ``reconnect_for_s`` seconds at
-        most. Leaving the loop early ends the attachment. See :class:`AsyncStream` for the rest.
+        Parameters
+        ----------
+        frames
+            Encoded images, paths or :class:`Frame`; with ``encode`` anything. None: frames are given to ``send``.
+        mode
+            ``latest`` drops frames that newer ones overtake; ``lossless`` answers every one, and sends no faster.
+        encode
+            ``encode(image, region)`` is called in a thread with each of ``frames`` and the part that is needed (None
+            for the whole). It returns that part as an encoded image, which pays where bandwidth or decoding is dear.
+        on_refused
+            Called with the problem of each refused frame, which is raised out of the iteration otherwise.
+        on_resumed
+            Called when the stream goes on after a break.
+        takeover
+            End another stream of the session.
+        ticket
+            Admits the first handshake, in place of the key.
+        protocol
+            The subprotocol.
+        reconnect_for_s
+            How long a broken connection is tried again, in seconds: also through a restart of the service, and while
+            others that do not know the session stand in for it.
         """
         connector = Connector(self._client.address, self.id, mode, protocol, takeover, ticket, reconnect_for_s)
 

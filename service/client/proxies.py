@@ -1,4 +1,4 @@
-"""Which proxy leads to the service, and the words for what goes wrong on the way."""
+"""Finds the proxy that leads to a service."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Proxy:
 
 
 def proxy_of(url: SplitResult) -> Proxy | None:
-    """The proxy that the environment sets for a service, the same for its HTTP calls and its WebSockets.
+    """Return the proxy that the environment sets for a service, for its HTTP calls and its WebSockets alike.
 
     None for this machine itself, and for what NO_PROXY names. Raises :class:`ConnectionLost` for a proxy that
     cannot be used.
@@ -39,8 +39,8 @@ def proxy_of(url: SplitResult) -> Proxy | None:
     found = next((name for name in (url.scheme, "all") if set_for.get(name)), None)
     if found is None or _is_this_machine(host) or _is_named(host, url.port, set_for.get("no", "")):
         return None
-    told = set_for[found]
-    proxy = Proxy(told if "://" in told else f"http://{told}", _variable(found))
+    given = set_for[found]
+    proxy = Proxy(given if "://" in given else f"http://{given}", _variable(found))
     _check(proxy)
     return proxy
 

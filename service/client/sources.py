@@ -1,4 +1,4 @@
-"""Where frames and boxes come from, and what is none."""
+"""Reads frames and boxes as users give them, and refuses what is none."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 
 async def image_bytes(image: Any, what: str = "a frame") -> bytes:
-    """The bytes of an encoded image, or of the file that a path names. Raises TypeError, OSError."""
+    """Return the bytes of an encoded image, or of the file that a path names. Raises TypeError, OSError."""
     if isinstance(image, bytes):
         return image
     if isinstance(image, PathLike):
@@ -36,7 +36,7 @@ async def image_bytes(image: Any, what: str = "a frame") -> bytes:
 
 
 async def as_frame(frame: Image | Frame) -> Frame:
-    """A frame whose image is bytes. Raises TypeError, OSError."""
+    """Return a frame whose image is bytes. Raises TypeError, OSError."""
     if not isinstance(frame, Frame):
         return Frame(await image_bytes(frame))
     data = await image_bytes(frame.data)
@@ -44,18 +44,18 @@ async def as_frame(frame: Image | Frame) -> Frame:
 
 
 def numbers(box: Iterable[float]) -> list[float]:
-    """``[x, y, w, h]``. Raises ValueError for what is not four numbers."""
+    """Return a box as ``[x, y, w, h]``. Raises ValueError for anything but four numbers."""
     try:
-        told = [] if isinstance(box, str | bytes) else [float(v) for v in box]
+        values = [] if isinstance(box, str | bytes) else [float(v) for v in box]
     except (TypeError, ValueError):
-        told = []
-    if len(told) != 4:
+        values = []
+    if len(values) != 4:
         raise ValueError(f"a box is four numbers, (x, y, w, h), not {box!r}")
-    return told
+    return values
 
 
 async def each(frames: AsyncIterable[T] | Iterable[T]) -> AsyncIterator[T]:
-    """The frames one by one; a lazy sync source is read in a thread, since it may wait for a camera."""
+    """Yield the frames one by one; a lazy synchronous source is read in a thread, since it may wait for a camera."""
     if isinstance(frames, AsyncIterable):
         async for frame in frames:
             yield frame

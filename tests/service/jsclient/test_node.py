@@ -300,7 +300,7 @@ async def test_what_is_given_wrongly_is_told_before_anything_is_sent(server: Own
         "/tracking": "http: or https:",
         "http://": "http: or https:",
         "http://tracking.test:99999": "http: or https:",
-        "http://me:secret@tracking.test": "no user and password",
+        "http://me:secret@tracking.test": "must not contain a user and password",
         "http://tracking.test/?x=1": "without a query",
         "http://tracking.test/#top": "without a query",
     }

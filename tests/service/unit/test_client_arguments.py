@@ -40,14 +40,14 @@ from service.client.types import Frame
 )
 def test_a_wrong_url_is_refused_at_once(url: Any) -> None:
     before = threading.enumerate()
-    with pytest.raises(ValueError, match="url is http:// or https://"):
+    with pytest.raises(ValueError, match="url must be http:// or https://"):
         Client(url)
     assert threading.enumerate() == before
 
 
 @pytest.mark.parametrize("url", ["http://h?x=1", "http://h/#top", "http://me:secret@h", "http://me@h:80/x"])
 def test_a_url_with_more_than_a_base_is_refused(url: str) -> None:
-    with pytest.raises(ValueError, match=r"^url .* without a query|^url has no user") as refused:
+    with pytest.raises(ValueError, match=r"^url .* without a query|^url must not contain a user") as refused:
         AsyncClient(url)
     assert "secret" not in str(refused.value)
 
@@ -69,7 +69,7 @@ def test_a_url_may_have_a_port_and_a_prefix(url: str, base: str, stream: str) ->
 
 @pytest.mark.parametrize("key", ["from-a-file\n", "two words", "schlüssel"])
 def test_a_key_that_no_header_can_carry_is_refused_and_not_shown(key: str) -> None:
-    with pytest.raises(ValueError, match=r"^key has a character that no key has") as refused:
+    with pytest.raises(ValueError, match=r"^key must not contain spaces") as refused:
         AsyncClient(key=key)
     assert key.strip() not in str(refused.value)
 

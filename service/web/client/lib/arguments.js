@@ -1,4 +1,4 @@
-/** What a user gives, checked before anything is sent. */
+/** Checks what a user gives before anything is sent. */
 
 import { MFCMTError } from "./errors.js";
 
@@ -6,16 +6,16 @@ const DEFAULT_URL = "http://127.0.0.1:8000";
 
 const wrong = (detail) => new MFCMTError({ code: "bad-request", detail });
 
-/** A box as four numbers. */
+/** Return a box as four numbers. Throws for anything else. */
 export function numbers(box) {
-  const told = typeof box === "string" ? [] : Array.from(box ?? [], Number);
-  if (told.length !== 4 || told.some(Number.isNaN)) {
+  const values = typeof box === "string" ? [] : Array.from(box ?? [], Number);
+  if (values.length !== 4 || values.some(Number.isNaN)) {
     throw wrong(`a box is four numbers, [x, y, w, h], not ${JSON.stringify(box)}`);
   }
-  return told;
+  return values;
 }
 
-/** The service's base URL without a slash at the end; in a page it may be relative, and is its origin by default. */
+/** Return the service's base URL without a slash at the end; in a page it may be relative, and is its origin by default. */
 export function baseUrl(url) {
   const here = globalThis.location?.href?.startsWith("http") ? globalThis.location : null;
   const given = String(url || (here?.origin ?? DEFAULT_URL)).trim();
@@ -24,25 +24,25 @@ export function baseUrl(url) {
     try {
       parsed = new URL(given, here?.href);
     } catch {
-      // told below
+      // refused below
     }
   }
   if (parsed?.username || parsed?.password) {
-    throw wrong("url has no user and password in it: an API key is given as key");
+    throw wrong("url must not contain a user and password; give an API key as key");
   }
   if (!["http:", "https:"].includes(parsed?.protocol)) {
-    throw wrong(`url is http: or https: and a host, as ${DEFAULT_URL}, not ${JSON.stringify(given)}`);
+    throw wrong(`url must be http: or https: with a host, such as ${DEFAULT_URL}, not ${JSON.stringify(given)}`);
   }
   if (parsed.search || parsed.hash) {
-    throw wrong(`url is the service's base, without a query or fragment, not ${JSON.stringify(given)}`);
+    throw wrong(`url must be the service's base, without a query or fragment, not ${JSON.stringify(given)}`);
   }
   return parsed.href.replace(/\/+$/, "");
 }
 
-/** An API key, or null; it is never repeated. */
+/** Return the API key, or null. Throws for one with a character that no key has, without repeating it. */
 export function apiKey(key) {
   if (key && !/^[!-~]+$/.test(key)) {
-    throw wrong("key has a character that no key has: a space, a line's end or one beyond ASCII");
+    throw wrong("key must not contain spaces, line ends or characters beyond ASCII");
   }
   return key || null;
 }

@@ -1,4 +1,4 @@
-/** Sessions over HTTP. */
+/** The client of a service: sessions over HTTP, and the streams that they have. */
 
 import { apiKey, baseUrl, numbers } from "./arguments.js";
 import { bytesOf, isEncoded } from "./encoder.js";
@@ -8,10 +8,10 @@ import { packed, withMapsAsBytes } from "./codec.js";
 import { Stream } from "./stream.js";
 
 const SNAPSHOT = "application/vnd.mfcmt.snapshot";
-// A call that may be repeated is tried this often when the server cannot be reached.
+// How often a call that may be repeated is tried while the service cannot be reached.
 const ATTEMPTS = 3;
 const RETRY_DELAY_MS = 100;
-// A creation that the service has no lane or place for is tried again for so long.
+// How long a creation is tried again while the service has no ready lane or no place.
 const WAIT_MS = 30_000;
 
 const path = (id) => `/v1/sessions/${encodeURIComponent(id)}`;
@@ -23,7 +23,7 @@ export class Client {
   constructor({ url, key, fetch, WebSocket, timeoutMs = 30_000 } = {}) {
     this.url = baseUrl(url);
     this.timeoutMs = timeoutMs;
-    Object.defineProperty(this, "key", { value: apiKey(key) }); // not enumerable: no log shows it
+    Object.defineProperty(this, "key", { value: apiKey(key) }); // not enumerable, so that no log shows it
     this.#headers = this.key ? { Authorization: `Bearer ${this.key}` } : {};
     this.#fetch = fetch ?? globalThis.fetch.bind(globalThis);
     Object.defineProperty(this, "WebSocket", { value: WebSocket ?? globalThis.WebSocket });
@@ -64,7 +64,7 @@ export class Client {
     return this.json("POST", `${path(id)}/ticket`, { ...asJson(ttlS === undefined ? {} : { ttl_s: ttlS }), ...more });
   }
 
-  /** The results after a `seq`, for a stream that was broken. */
+  /** Resolves with the results after a `seq`, for a stream whose connection broke. */
   async missed(id, after, more) {
     return (await this.json("GET", `${path(id)}/trajectory?after=${after}`, more)).results;
   }
@@ -78,17 +78,17 @@ export class Client {
     return new Stream(this, id, options);
   }
 
-  /** Where a stream attaches. */
+  /** Return the URL of a session's stream. */
   streamUrl(id, query) {
     return `ws${this.url.slice("http".length)}${path(id)}/stream?${query}`;
   }
 
-  /** One HTTP call; the decoded answer. */
+  /** Make one HTTP call; resolves with the decoded answer. */
   async json(method, where, request) {
     return withMapsAsBytes(await this.call(method, where, request, (response) => response.json()));
   }
 
-  /** One HTTP call, repeated when the server cannot be reached and the call may be. */
+  /** Make one HTTP call, again while the service cannot be reached if the call may be repeated. */
   async call(method, where, { headers, body, signal, timeoutMs = this.timeoutMs } = {}, read = (response) => response.arrayBuffer()) {
     const attempts = method !== "POST" || headers?.["Idempotency-Key"] ? ATTEMPTS : 1;
     for (let attempt = 1; ; attempt += 1) {
@@ -114,13 +114,13 @@ export class Client {
     }
   }
 
-  /** A frame as a Blob. */
+  /** Resolves with a frame as a Blob. */
   async #image(frame, encoding) {
     if (!isEncoded(frame)) return (await encodeFrame(frame, encoding)).blob;
     return frame instanceof Blob ? frame : new Blob([await bytesOf(frame)]);
   }
 
-  /** A service that has no lane ready yet, or no place, says when to come again. */
+  /** Create a session; again while the service says that it has no ready lane or no place. */
   async #create({ headers, waitMs = WAIT_MS, ...request }, idempotencyKey = madeUpKey()) {
     const call = { headers: { ...headers, "Idempotency-Key": idempotencyKey }, ...request };
     const giveUpAt = performance.now() + waitMs;
@@ -161,8 +161,8 @@ export class Session {
 
   async track(frame, { ts, region, seq, ...encoding } = {}) {
     const image = isEncoded(frame) ? frame : (await encodeFrame(frame, { region, ...encoding })).blob;
-    const told = { frame: await bytesOf(image), ts, region, seq };
-    const body = await packed(Object.fromEntries(Object.entries(told).filter(([, value]) => value !== undefined)));
+    const fields = { frame: await bytesOf(image), ts, region, seq };
+    const body = await packed(Object.fromEntries(Object.entries(fields).filter(([, value]) => value !== undefined)));
     const headers = { "Content-Type": "application/msgpack" };
     return this.#client.json("POST", `${this.#path}/frames`, { headers, body });
   }
@@ -201,9 +201,9 @@ export class Session {
   }
 }
 
-const asJson = (told) => ({ headers: { "Content-Type": "application/json" }, body: JSON.stringify(told) });
+const asJson = (body) => ({ headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) });
 
-/** Resolves after so long, or when the signal says so. */
+/** Resolves after `ms`, or when the signal is aborted. */
 function pause(ms, signal) {
   return new Promise((resolve) => {
     const timer = setTimeout(done, ms);
@@ -217,7 +217,7 @@ function pause(ms, signal) {
   });
 }
 
-/** `crypto.randomUUID` is there on secure origins only; a phone may test over plain HTTP. */
+/** Return a random key; `crypto.randomUUID` exists on secure origins only, and a phone may test over plain HTTP. */
 function madeUpKey() {
   return Array.from(crypto.getRandomValues(new Uint8Array(16)), (byte) => byte.toString(16).padStart(2, "0")).join("");
 }

@@ -1,9 +1,9 @@
-/** The two subprotocols: messages to and from what a WebSocket carries. */
+/** The two subprotocols: how messages look on a WebSocket. */
 
 const json = {
   subprotocol: "mfcmt.v1.json",
-  frame(bytes, beside) {
-    return [JSON.stringify({ type: "meta", ...beside }), bytes];
+  frame(bytes, meta) {
+    return [JSON.stringify({ type: "meta", ...meta }), bytes];
   },
   control: JSON.stringify,
   read(data) {
@@ -14,8 +14,8 @@ const json = {
 function msgpack({ encode, decode }) {
   return {
     subprotocol: "mfcmt.v1.msgpack",
-    frame(bytes, beside) {
-      return [encode({ type: "frame", frame: bytes, ...beside })];
+    frame(bytes, meta) {
+      return [encode({ type: "frame", frame: bytes, ...meta })];
     },
     control: (message) => encode(message),
     read(data) {
@@ -24,17 +24,17 @@ function msgpack({ encode, decode }) {
   };
 }
 
-/** A MessagePack body. */
-export async function packed(told) {
-  return (await import("../vendor/msgpack/index.mjs")).encode(told);
+/** Return `body` as MessagePack. */
+export async function packed(body) {
+  return (await import("../vendor/msgpack/index.mjs")).encode(body);
 }
 
-/** The codec of this name; MessagePack is loaded only where it is asked for. */
+/** Resolves with the codec of this name; MessagePack is loaded only where it is asked for. */
 export async function codecNamed(name) {
   return name === "msgpack" ? msgpack(await import("../vendor/msgpack/index.mjs")) : json;
 }
 
-/** A result with its response maps as bytes: JSON carries them in base64. */
+/** Return `message` with its response maps as bytes: JSON carries them in base64. */
 export function withMapsAsBytes(message) {
   for (const target of message.targets ?? []) {
     for (const [name, image] of Object.entries(target.maps ?? {})) {

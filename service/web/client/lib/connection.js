@@ -1,4 +1,4 @@
-/** One attachment of a session over one WebSocket: no waiting for credit, no reconnecting. */
+/** One connection of a stream: it does not wait for credit and does not reconnect. */
 
 import { MFCMTError, connectionLost, ofClose, ofHandshake } from "./errors.js";
 
@@ -8,8 +8,8 @@ const CLOSED = 3;
 const CLOSING_MS = 2000;
 
 /**
- * Attach; resolves with the connection when the server has said `ready`, rejects with what it said instead.
- * Later messages go to `onMessage`; `connection.closed` resolves with the error that ended it.
+ * Attach; resolves with the connection when `ready` has come, rejects with the refusal that came instead. Later messages
+ * go to `onMessage`; `connection.closed` resolves with the error that ended it.
  */
 export function connect({ WebSocket, url, codec, ticket, timeoutMs, onMessage }) {
   return new Promise((resolve, reject) => {
@@ -71,16 +71,16 @@ class Connection {
     return this.#socket.bufferedAmount ?? 0;
   }
 
-  /** Send an image and what belongs to it; false when the connection is no longer open. */
-  frame(bytes, beside) {
-    return this.#send(this.#codec.frame(bytes, beside));
+  /** Send an image and what is said about it; false when the connection is no longer open. */
+  frame(bytes, meta) {
+    return this.#send(this.#codec.frame(bytes, meta));
   }
 
   control(message) {
     return this.#send([this.#codec.control(message)]);
   }
 
-  /** Close, and listen no more; resolves when the server has closed too, or does not seem to. */
+  /** Close and ignore further messages; resolves when the service has closed too, or after a while. */
   abandon() {
     const socket = this.#socket;
     socket.onmessage = socket.onclose = null;

@@ -1,4 +1,4 @@
-/** Controls on their way: each is answered by its `ref`. */
+/** Sends controls and hands on their answers, which echo a `ref`. */
 
 const MAX_TRIES = 3;
 
@@ -6,12 +6,12 @@ export class Controls {
   #pending = new Map(); // ref → {message, tries, resolve, reject}
   #forNext = [];
   #refs = 0;
-  #link;
+  #socket;
   #wantWhole;
 
   /** `wantWhole` is called when the next frame must be sent whole. */
-  constructor(link, wantWhole) {
-    this.#link = link;
+  constructor(socket, wantWhole) {
+    this.#socket = socket;
     this.#wantWhole = wantWhole;
   }
 
@@ -19,9 +19,9 @@ export class Controls {
     return this.#pending.size > this.#forNext.length;
   }
 
-  /** Say it now, or with the next frame; what the server answers. */
-  async say(control, onNext = false) {
-    const connection = await this.#link.connected();
+  /** Send a control now, or with the next frame; resolves with its answer. */
+  async send(control, onNext = false) {
+    const connection = await this.#socket.connected();
     const ref = ++this.#refs;
     const message = { ...control, ref };
     const answer = new Promise((resolve, reject) => this.#pending.set(ref, { message, tries: 1, resolve, reject }));
@@ -30,7 +30,7 @@ export class Controls {
     return answer;
   }
 
-  /** What goes out right before the next whole frame. */
+  /** Return the controls to be sent right before the next whole frame. */
   takeForNext() {
     return this.#forNext.splice(0);
   }
@@ -40,11 +40,11 @@ export class Controls {
     this.#pending.delete(message.ref);
   }
 
-  /** Whether the refusal was of a control. One for want of the whole frame is said again with the next, whole one. */
-  refuse(ref, error, cuts) {
+  /** Hand on a refusal; returns whether it was a control's. One that needs the whole frame is sent again with the next. */
+  refuse(ref, error, cropping) {
     const pending = this.#pending.get(ref);
     if (!pending) return false;
-    if (error.code === "full-frame-needed" && cuts && pending.tries < MAX_TRIES) {
+    if (error.code === "full-frame-needed" && cropping && pending.tries < MAX_TRIES) {
       pending.tries += 1;
       this.#withNext(pending.message);
     } else {

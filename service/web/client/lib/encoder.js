@@ -1,4 +1,4 @@
-/** Capturing what a source shows, and having it encoded: in a worker where the browser can, else here. */
+/** Captures what a source shows and has it encoded: in a worker where the browser can, else on the main thread. */
 
 import { unsupportedSource } from "./errors.js";
 import { CanvasEncoder } from "./pixels.js";
@@ -15,14 +15,14 @@ export function isEncoded(source) {
   throw unsupportedSource("a frame is an encoded image, or pixels where there is a browser");
 }
 
-/** The bytes of an encoded image. */
+/** Resolves with the bytes of an encoded image. */
 export async function bytesOf(source) {
   if (is(source, "Blob")) return new Uint8Array(await source.arrayBuffer());
   if (source instanceof ArrayBuffer) return new Uint8Array(source);
   return new Uint8Array(source.buffer, source.byteOffset, source.byteLength);
 }
 
-/** What the source shows now, as an ImageBitmap or VideoFrame of our own; `transfer` takes it over. */
+/** Resolves with what the source shows now, as an ImageBitmap or VideoFrame of our own; `transfer` takes over the source. */
 export async function capture(source, transfer = false) {
   try {
     if (is(source, "VideoFrame")) return transfer ? source : source.clone();
@@ -51,7 +51,7 @@ class WorkerEncoder {
     };
   }
 
-  /** A worker that has come up, or null where the browser or its policy has none. */
+  /** Resolves with the encoder once its worker runs; null where the browser or its policy has none. */
   static open() {
     if (typeof Worker === "undefined" || typeof OffscreenCanvas === "undefined") return null;
     return new Promise((resolve) => {
@@ -109,8 +109,8 @@ class MainEncoder {
 }
 
 /**
- * An encoder: `encode(image, {size, region, imageType, quality, weigh}, keep)` gives `{bytes, wholeBytes}` and
- * closes the image unless it is to be kept. One call at a time.
+ * Resolves with an encoder. Its `encode(image, {size, region, imageType, quality, weigh}, keep)` resolves with `{bytes,
+ * wholeBytes}` and closes the image unless `keep` is set; one call at a time.
  */
 export async function openEncoder(where) {
   return (where === "main" ? null : await WorkerEncoder.open()) ?? new MainEncoder();

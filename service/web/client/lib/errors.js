@@ -1,4 +1,4 @@
-/** What the client throws. */
+/** The errors of the client. */
 
 export class MFCMTError extends Error {
   constructor(problem, { seq = null, ref = null, cause } = {}) {
@@ -28,8 +28,8 @@ export const aborted = (cause) => new MFCMTError({ code: "aborted", detail: "abo
 
 /**
  * Whether the same attempt may succeed later. While the process that has a session is away, whatever stands in for it
- * says 404, 502 or 503: another replica does not know the session, a proxy knows nobody. `known`: the session was
- * there, and may be again.
+ * says 404, 502 or 503: another replica does not know the session, and a proxy reaches nobody. `known`: the session
+ * existed, and may exist again.
  */
 export const mayPass = ({ code, status }, known) =>
   code === "connection-lost" || code === "rate-limited" || status >= 500 || (known && status === 404);
@@ -47,7 +47,7 @@ const BY_CLOSE_CODE = {
   4429: { code: "rate-limited", status: 429 },
 };
 
-/** What the server meant by closing a stream with this code. */
+/** Return what the service meant by closing a stream with this code. */
 export function ofClose(code, reason) {
   const known = BY_CLOSE_CODE[code];
   if (!known) return connectionLost(`the stream broke off (${code}${reason ? ` ${reason}` : ""})`);
@@ -66,20 +66,20 @@ const BY_STATUS = {
   503: "at-capacity",
 };
 
-/** What a refused handshake meant where the WebSocket tells its HTTP status (npm `ws`); null elsewhere. */
+/** Return what a refused handshake meant, where the WebSocket shows its HTTP status (npm `ws`); null elsewhere. */
 export function ofHandshake(message) {
   const status = Number(/response: (\d{3})$/.exec(message ?? "")?.[1]);
   if (!status) return null;
   return new MFCMTError({ code: BY_STATUS[status] ?? "internal", status, detail: `the handshake got HTTP ${status}` });
 }
 
-/** The problem in an HTTP answer; of any other body only the status is told. */
+/** Resolves with the problem in an HTTP answer; for any other body with its status alone. */
 export async function ofResponse(response) {
   let problem = {};
   try {
     problem = await response.json();
   } catch {
-    // A proxy's page, say.
+    // no JSON: a proxy's page, for example
   }
   if (typeof problem?.code !== "string") problem = { code: "internal", detail: `HTTP ${response.status}` };
   const retryAfter = Number(response.headers.get("Retry-After") ?? NaN);

@@ -1,8 +1,8 @@
-/** Sending what a video shows. */
+/** Sends what a video shows. */
 
 const TOLERANCE_MS = 4; // displays and cameras are not quite in step
 
-/** Send each frame that `video` shows, at most `fps` a second; returns what stops it. */
+/** Send each frame that `video` shows, at most `fps` a second; returns the function that stops it. */
 export function follow(stream, video, { fps = Infinity }, { skip, fail }) {
   const presented = typeof video.requestVideoFrameCallback === "function";
   let lastAt = -Infinity;

@@ -1,4 +1,4 @@
-/** A single frame, encoded as a session or stream would send it. */
+/** Encodes a single frame as a session or stream would send it. */
 
 import { capture, isEncoded, sizeOf } from "./encoder.js";
 import { unsupportedSource } from "./errors.js";

@@ -1,18 +1,18 @@
-/** From pixels to an encoded image; runs in the worker as on the main thread. */
+/** Encodes pixels; runs in the worker and on the main thread alike. */
 
-/** The size of a `width`×`height` frame when its longer side may be `maxSide` at most. */
+/** Return the size of a `width`×`height` frame whose longer side may be `maxSide` at most. */
 export function fittedSize(width, height, maxSide) {
   const scale = maxSide ? Math.min(1, maxSide / Math.max(width, height)) : 1;
   return [Math.max(1, Math.round(width * scale)), Math.max(1, Math.round(height * scale))];
 }
 
-/** An encoder with a canvas of its own. */
+/** Encodes images on a canvas of its own. */
 export class CanvasEncoder {
   #canvas = typeof OffscreenCanvas === "undefined" ? document.createElement("canvas") : new OffscreenCanvas(1, 1);
 
   /**
-   * `image`, scaled to `size`, of that the part `region`, as a Blob. With `weigh`, also the bytes that
-   * the whole frame would have.
+   * Scale `image` to `size` and encode the part `region` of that; resolves with `{blob, wholeBytes}`. With `weigh`,
+   * `wholeBytes` is the size that the whole frame would have, else null.
    */
   async encode(image, { size, region, imageType, quality, weigh }) {
     const whole = [0, 0, ...size];

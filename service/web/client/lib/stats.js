@@ -1,4 +1,4 @@
-/** What a stream counts, and how many frames it may have in flight. */
+/** Counts what a stream does, and says how many frames it may have in flight. */
 
 const REMEMBERED = 120;
 const RATE_OVER_MS = 2000;
@@ -18,7 +18,7 @@ export class Stats {
   reconnects = 0;
   #answers = []; // {at, latencyMs}, the newest last
 
-  /** A result has come for a frame that was taken at `takenAt`; null where a break makes the time mean nothing. */
+  /** Count a result for a frame that was taken at `takenAt`; null where a break makes the time meaningless. */
   answer(takenAt, dropped) {
     const at = performance.now();
     this.answered += 1;
@@ -29,8 +29,8 @@ export class Stats {
   }
 
   /**
-   * Frames worth having in flight: what is answered within the least latency seen lately, by Little's law, and one
-   * more. Beyond that frames only wait in buffers between here and there, which no browser tells of.
+   * How many frames are worth having in flight: as many as are answered within the least latency seen lately (Little's
+   * law), and one more. Further frames would only wait in buffers on the way, which a browser cannot see.
    */
   get window() {
     const recent = this.#answers.slice(-WINDOW_OVER);

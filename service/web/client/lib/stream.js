@@ -2,18 +2,18 @@
 
 import { numbers } from "./arguments.js";
 import { Controls } from "./controls.js";
-import { Events, Inbox } from "./delivery.js";
+import { Events, Inbox } from "./events.js";
 import { MFCMTError, aborted, mayPass, streamEnded, unsupportedSource } from "./errors.js";
 import { follow } from "./follow.js";
 import { IMAGE_TYPE, QUALITY, regionsByDefault } from "./frame.js";
-import { Link } from "./link.js";
-import { Outbox } from "./outbox.js";
-import { deferred, quiet } from "./room.js";
+import { ReconnectingSocket } from "./reconnecting-socket.js";
+import { SendQueue } from "./send-queue.js";
+import { deferred, quiet } from "./send-gate.js";
 import { Stats } from "./stats.js";
 
-// Results that may wait unread before no more frames are taken.
+// How many results may wait unread before no more frames are taken.
 const MAX_UNREAD = 64;
-// In `latest` a superseded frame is told by the next result only; where the last frame was refused there may be
+// In `latest` a superseded frame is counted by the next result only; where the last frame was refused there may be
 // none, so the end waits this long for it.
 const LINGER_MS = 2000;
 
@@ -34,12 +34,12 @@ export class Stream {
   #client;
   #id;
   #options;
-  #link;
+  #socket;
   #controls;
-  #outbox;
+  #queue;
   #events = new Events();
   #inbox = new Inbox(
-    () => this.#outbox.look(),
+    () => this.#queue.update(),
     () => this.#leave(),
   );
   #stats = new Stats();
@@ -62,37 +62,37 @@ export class Stream {
     this.size = null;
     this.region = null;
     this.targets = [];
-    this.#link = new Link(client, id, this.#options, {
+    this.#socket = new ReconnectingSocket(client, id, this.#options, {
       receive: (message) => this.#receive(message),
       takeUp: (connection) => this.#takeUp(connection),
       up: () => this.#up(),
       down: (error) => this.#down(error),
       status: (change) => this.#events.emit("status", change),
       end: (error) => this.#end(error),
-      expecting: () => this.#outbox.inFlight > 0 || this.#controls.waiting,
+      expecting: () => this.#queue.inFlight > 0 || this.#controls.waiting,
     });
-    this.#controls = new Controls(this.#link, () => (this.#outbox.wholeNext = true));
-    this.#outbox = new Outbox(this, this.#options, {
-      link: this.#link,
+    this.#controls = new Controls(this.#socket, () => (this.#queue.wholeNext = true));
+    this.#queue = new SendQueue(this, this.#options, {
+      socket: this.#socket,
       controls: this.#controls,
       stats: this.#stats,
-      tell: {
+      hooks: {
         ready: () => this.#events.emit("ready"),
         settled: () => this.#endIfDone(),
         failed: (error) => this.#problem(error),
-        rests: () => this.#inbox.unread >= MAX_UNREAD,
+        isFull: () => this.#inbox.unread >= MAX_UNREAD,
       },
     });
     const { signal, frames } = this.#options;
     const abort = () => this.#end(aborted(signal.reason));
     signal?.addEventListener("abort", abort, { once: true });
     if (signal?.aborted) abort();
-    else this.#link.run();
+    else this.#socket.run();
     if (frames) this.#pump(frames);
   }
 
   get status() {
-    return this.#link.status;
+    return this.#socket.status;
   }
 
   get mode() {
@@ -104,23 +104,23 @@ export class Stream {
   }
 
   get encoder() {
-    return this.#outbox.encoder;
+    return this.#queue.encoder;
   }
 
   get paused() {
-    return this.#outbox.paused;
+    return this.#queue.paused;
   }
 
   get stats() {
-    return this.#stats.copy(this.#outbox.inFlight);
+    return this.#stats.copy(this.#queue.inFlight);
   }
 
   get canSend() {
-    return this.#outbox.free;
+    return this.#queue.free;
   }
 
   get ready() {
-    return this.#ended ? Promise.reject(this.#ended) : this.#outbox.freed;
+    return this.#ended ? Promise.reject(this.#ended) : this.#queue.freed;
   }
 
   get closed() {
@@ -151,25 +151,25 @@ export class Stream {
   }
 
   async add(box, { onNext } = {}) {
-    return this.#controls.say({ type: "add", box: numbers(box) }, onNext);
+    return this.#controls.send({ type: "add", box: numbers(box) }, onNext);
   }
 
   async correct(target, box, { onNext } = {}) {
-    return this.#controls.say({ type: "correct", target, box: numbers(box) }, onNext);
+    return this.#controls.send({ type: "correct", target, box: numbers(box) }, onNext);
   }
 
   remove(target) {
-    return this.#controls.say({ type: "remove", target });
+    return this.#controls.send({ type: "remove", target });
   }
 
   pause() {
-    this.#outbox.paused = true;
-    this.#outbox.look();
+    this.#queue.paused = true;
+    this.#queue.update();
   }
 
   resume() {
-    this.#outbox.paused = false;
-    this.#outbox.look();
+    this.#queue.paused = false;
+    this.#queue.update();
   }
 
   finish() {
@@ -182,13 +182,13 @@ export class Stream {
     this.#end(null);
   }
 
-  /** The loop over the results was left early: the session is free when this resolves. */
+  /** Close, because the loop over the results was left; resolves when the session is free. */
   async #leave() {
     this.close();
-    await this.#link.released;
+    await this.#socket.released;
   }
 
-  /** What a caller is told who comes after the end. */
+  /** The error for calls after the end; null before. */
   get #ended() {
     return this.status === "closed" ? (this.#error ?? streamEnded()) : null;
   }
@@ -196,7 +196,7 @@ export class Stream {
   async #send(source, options, waits) {
     if (this.#ended) throw this.#ended;
     try {
-      return await this.#outbox.send(source, options, waits);
+      return await this.#queue.send(source, options, waits);
     } catch (error) {
       throw this.#ended ?? error;
     }
@@ -221,17 +221,17 @@ export class Stream {
     const { ready } = connection;
     const { session } = ready;
     if (this.info === null) this.#lastSeq = session.seq;
-    else if (this.#outbox.hasUpTo(session.seq)) await this.#fetchMissed(session.seq);
+    else if (this.#queue.hasUpTo(session.seq)) await this.#fetchMissed(session.seq);
     if (this.info) this.#resumed = { seq: session.seq, lostAfter: lostAfter(ready, this.#lastSeq) };
     this.info = ready;
     this.size = session.size;
     this.region = session.region;
     this.targets = session.targets;
-    this.#outbox.takeUp(connection);
+    this.#queue.takeUp(connection);
   }
 
   async #fetchMissed(upTo) {
-    // What killed the stream may have left dead connections in the browser's pool too: do not wait long for them.
+    // The browser's pool may have dead connections too, so do not wait long for them.
     const timeoutMs = this.#options.stallMs;
     try {
       for (const result of await this.#client.missed(this.#id, this.#lastSeq, { timeoutMs })) {
@@ -239,7 +239,7 @@ export class Stream {
       }
     } catch (error) {
       if (mayPass(error, true)) throw error;
-      this.#outbox.forgetUpTo(upTo); // without a key they cannot be had
+      this.#queue.forgetUpTo(upTo); // without a key they cannot be had
     }
   }
 
@@ -250,14 +250,14 @@ export class Stream {
     }
     this.#resumed = null;
     this.#brokenAt = 0;
-    this.#outbox.look();
+    this.#queue.update();
     this.#endIfDone();
   }
 
   #down(error) {
     this.#brokenAt ||= performance.now();
     this.#controls.fail(error);
-    this.#outbox.look();
+    this.#queue.update();
   }
 
   // Messages in
@@ -267,15 +267,15 @@ export class Stream {
     if (message.type === "result") this.#answer(message);
     else if (message.type === "targets") this.#retarget(message);
     else if (message.type === "error") this.#refuse(message);
-    else if (message.type === "draining") this.#link.drain(message.reconnect_in_s * 1000, message.resumable);
-    this.#outbox.look();
+    else if (message.type === "draining") this.#socket.drain(message.reconnect_in_s * 1000, message.resumable);
+    this.#queue.update();
     this.#endIfDone();
   }
 
   #answer(result) {
     if (result.seq <= this.#lastSeq) return; // fetched already
     this.#lastSeq = result.seq;
-    const takenAt = this.#outbox.answer(result.seq);
+    const takenAt = this.#queue.answer(result.seq);
     this.size = result.size;
     this.region = result.region;
     this.targets = result.targets;
@@ -294,7 +294,7 @@ export class Stream {
   #refuse({ seq = null, ref = null, problem }) {
     const error = new MFCMTError(problem, { seq, ref });
     if (this.#controls.refuse(ref, error, this.regions)) return;
-    if (!this.#outbox.refuse(seq, error)) this.#problem(error);
+    if (!this.#queue.refuse(seq, error)) this.#problem(error);
   }
 
   #problem(error) {
@@ -304,17 +304,17 @@ export class Stream {
   // The end
 
   #endIfDone() {
-    if (!this.#exhausted || this.#outbox.busy) return;
-    if (this.#outbox.inFlight === 0) this.#end(null);
-    else if (this.mode === "latest" && !this.#outbox.awaitsLast) setTimeout(() => this.#end(null), LINGER_MS);
+    if (!this.#exhausted || this.#queue.busy) return;
+    if (this.#queue.inFlight === 0) this.#end(null);
+    else if (this.mode === "latest" && !this.#queue.awaitsLast) setTimeout(() => this.#end(null), LINGER_MS);
   }
 
   #end(error) {
     if (this.status === "closed") return;
     this.#error = error;
-    this.#link.close(error);
+    this.#socket.close(error);
     const why = error ?? streamEnded();
-    this.#outbox.close(why);
+    this.#queue.close(why);
     this.#controls.fail(why);
     this.#inbox.end(error);
     if (error) this.#done.reject(error);
@@ -322,5 +322,5 @@ export class Stream {
   }
 }
 
-/** What a breakdown of the service took, if any of it had been told. */
+/** The last frame that the session still knows, if results of later ones have been given; else null. */
 const lostAfter = ({ lost_after: known = null }, lastSeq) => (known !== null && known < lastSeq ? known : null);

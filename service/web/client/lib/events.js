@@ -1,4 +1,4 @@
-/** What a stream tells: events, and results as an async iterator. */
+/** A stream's events, and its results as an async iterator. */
 
 export class Events {
   #listeners = new Map();
@@ -15,7 +15,7 @@ export class Events {
         listener(detail);
       } catch (error) {
         queueMicrotask(() => {
-          throw error; // the listener's fault is reported, and is not the stream's
+          throw error; // the listener's fault is reported and does not disturb the stream
         });
       }
     }
@@ -23,8 +23,8 @@ export class Events {
 }
 
 /**
- * A queue with one reader; `onRead` is called for every item that is taken, `onLeave` when a loop over it is left early,
- * which waits for what it returns.
+ * A queue with one reader. `onRead` is called for every item that is taken; `onLeave` when a loop over the queue is left
+ * early, which waits for the promise that it returns.
  */
 export class Inbox {
   #items = [];
@@ -43,19 +43,19 @@ export class Inbox {
     return this.#items.length;
   }
 
-  /** Nothing is kept before anybody reads. */
+  /** Add an item; it is dropped while nobody has begun to read. */
   put(item) {
     if (this.#readers.length) this.#readers.shift().resolve({ value: item, done: false });
     else if (this.#open) this.#items.push(item);
   }
 
-  /** After what waits, readers are told that this is all, or what went wrong. */
+  /** End the iteration after what waits, with an error or without. */
   end(error) {
     this.#ended = { error };
     for (const reader of this.#readers.splice(0)) this.#finish(reader);
   }
 
-  /** The iterator of all that comes from now on. */
+  /** Return the iterator of all items from now on. */
   read() {
     this.#open = true;
     const iterator = {
@@ -83,7 +83,7 @@ export class Inbox {
 
   #finish({ resolve, reject }) {
     const { error } = this.#ended;
-    this.#ended = { error: null }; // told once
+    this.#ended = { error: null }; // thrown once
     if (error) reject(error);
     else resolve({ value: undefined, done: true });
   }

@@ -1,57 +1,58 @@
-/** Frames on their way out: taken when there is room, encoded, numbered, kept until they are answered. */
+/** Takes frames when there is room, encodes and numbers them, and remembers them until they are answered. */
 
-import { Cutter } from "./cutter.js";
+import { FrameCropper } from "./frame-cropper.js";
 import { bytesOf, capture, isEncoded } from "./encoder.js";
-import { Room } from "./room.js";
+import { SendGate } from "./send-gate.js";
 
-// No event tells that a socket's buffer has emptied.
+// No event says that a socket's buffer has emptied.
 const BUFFER_POLL_MS = 2;
 
-export class Outbox {
-  /** What the server counts on; frames that number themselves move it. */
+export class SendQueue {
+  /** The number of the next frame, unless it brings its own. */
   nextSeq = 0;
-  /** Whether the next frame of pixels must not be cut. */
+  /** Whether the next frame of pixels must not be cropped. */
   wholeNext = false;
   paused = false;
   #stream;
   #options;
-  #link;
+  #socket;
   #controls;
   #stats;
-  #tell;
-  #cutter;
-  #room;
-  #unanswered = new Map(); // seq → what was sent, with its picture where it may have to be cut anew
+  #hooks;
+  #cropper;
+  #gate;
+  #unanswered = new Map(); // seq → what was sent, with its picture where it may have to be cropped again
   #polling = false;
 
   /**
-   * `stream` has `info`, `size`, `region` and `targets` as last told, and what its user may set: `regions`, `quality`,
-   * `maxSide`. `tell` hears `ready()`, `settled()` when a frame is through, `failed(error)`; and says whether it `rests()`.
+   * `stream` has `info`, `size`, `region` and `targets` as the service said last, and what its user may set: `regions`,
+   * `quality`, `maxSide`. `hooks` are called: `ready()` when a frame would be taken, `settled()` when one is through,
+   * `failed(error)`, and `isFull()`, which returns whether too many results wait to be read.
    */
-  constructor(stream, options, { link, controls, stats, tell }) {
+  constructor(stream, options, { socket, controls, stats, hooks }) {
     this.#stream = stream;
     this.#options = options;
-    this.#link = link;
+    this.#socket = socket;
     this.#controls = controls;
     this.#stats = stats;
-    this.#tell = tell;
-    this.#cutter = new Cutter(options.encoder);
-    this.#room = new Room(
+    this.#hooks = hooks;
+    this.#cropper = new FrameCropper(options.encoder);
+    this.#gate = new SendGate(
       () => this.#hasRoom(),
-      () => tell.ready(),
+      () => hooks.ready(),
     );
   }
 
   get encoder() {
-    return this.#cutter.encoder?.where ?? null;
+    return this.#cropper.encoder?.where ?? null;
   }
 
   get free() {
-    return this.#room.free;
+    return this.#gate.free;
   }
 
   get freed() {
-    return this.#room.freed;
+    return this.#gate.freed;
   }
 
   get inFlight() {
@@ -60,7 +61,7 @@ export class Outbox {
 
   /** Whether frames are between being taken and being sent. */
   get busy() {
-    return this.#room.taking > 0 || this.#room.waiting > 0;
+    return this.#gate.taking > 0 || this.#gate.waiting > 0;
   }
 
   /** Whether the last frame's answer is still to come. */
@@ -68,14 +69,15 @@ export class Outbox {
     return this.#unanswered.has(this.nextSeq - 1);
   }
 
-  look() {
-    this.#room.look();
+  /** Look whether a frame may be taken now. */
+  update() {
+    this.#gate.update();
   }
 
-  /** Unless it waits, a frame that finds no room is skipped. */
+  /** Send a frame; without `waits`, one that finds no room is skipped. Resolves with its number, or null. */
   async send(source, options, waits) {
     const encoded = isEncoded(source);
-    if (!waits && !this.#room.free) {
+    if (!waits && !this.#gate.free) {
       if (options.transfer) source.close?.();
       this.#stats.skipped += 1;
       return null;
@@ -85,9 +87,9 @@ export class Outbox {
     try {
       if (waits) {
         if (!encoded) image = await capture(source, options.transfer); // what it shows now
-        await this.#room.turn();
+        await this.#gate.enter();
       } else {
-        this.#room.taking += 1;
+        this.#gate.taking += 1;
       }
       inside = true;
       const takenAt = performance.now();
@@ -95,17 +97,17 @@ export class Outbox {
       const made = encoded
         ? { bytes: await bytesOf(source), region: options.region ?? null, saved: 0 }
         : await this.#encode(image, options.whole);
-      return this.#handOver(await this.#link.connected(), { ...made, takenAt, ts: options.ts }, options.seq);
+      return this.#handOver(await this.#socket.connected(), { ...made, takenAt, ts: options.ts }, options.seq);
     } catch (error) {
       image?.close();
       throw error;
     } finally {
-      if (inside) this.#room.leave();
-      this.#tell.settled();
+      if (inside) this.#gate.leave();
+      this.#hooks.settled();
     }
   }
 
-  /** A result has come: when its frame was taken, or null. In `latest` it answers all frames before it too. */
+  /** Forget an answered frame, in `latest` all before it too; returns when it was taken, or null. */
   answer(seq) {
     const { takenAt = null } = this.#unanswered.get(seq) ?? {};
     if (this.#options.mode === "latest") this.forgetUpTo(seq);
@@ -113,14 +115,14 @@ export class Outbox {
     return takenAt;
   }
 
-  /** A frame was refused; whether that is the outbox's own affair: a cut that was too small. */
+  /** Forget a refused frame; returns whether nobody has to know, because a crop was too small and is made again. */
   refuse(seq, error) {
     const sent = this.#unanswered.get(seq);
-    const tooSmall = Boolean(sent?.cut) && error.code === "bad-region";
+    const tooSmall = Boolean(sent?.cropped) && error.code === "bad-region";
     if (tooSmall) this.wholeNext = true;
     if (tooSmall && sent.picture) {
       this.#unanswered.delete(seq);
-      this.#cutAnew(sent);
+      this.#cropAgain(sent);
     } else {
       this.#forget(seq);
       this.#stats.refused += 1;
@@ -136,7 +138,7 @@ export class Outbox {
     for (const each of [...this.#unanswered.keys()]) if (each <= seq) this.#forget(each);
   }
 
-  /** On a new connection: send again what was not tracked, in `latest` only the newest. */
+  /** Send again on a new connection what was not tracked, in `latest` only the newest. */
   takeUp(connection) {
     this.nextSeq = Math.max(this.nextSeq, connection.ready.next_seq);
     const again = [...this.#unanswered].sort(([a], [b]) => a - b);
@@ -145,17 +147,17 @@ export class Outbox {
   }
 
   close(why) {
-    this.#room.fail(why);
+    this.#gate.fail(why);
     this.forgetUpTo(Infinity);
-    this.#cutter.close();
+    this.#cropper.close();
   }
 
   async #encode(image, whole) {
     const { info, size, region, targets, regions, quality, maxSide } = this.#stream;
-    // A cut that turns out too small is made anew where every frame counts.
+    // A crop that turns out too small is made again where every frame counts.
     const keep = this.#options.mode === "lossless" && regions;
     const began = performance.now();
-    const made = await this.#cutter.encode(image, {
+    const made = await this.#cropper.encode(image, {
       sessionSize: size,
       maxSide,
       needed: regions && !whole && !this.wholeNext ? region : null,
@@ -166,14 +168,14 @@ export class Outbox {
       keep,
     });
     this.#stats.encodeMs = performance.now() - began;
-    return { ...made, cut: made.region !== null, picture: keep ? image : null };
+    return { ...made, cropped: made.region !== null, picture: keep ? image : null };
   }
 
-  /** Give a frame to the connection; if that breaks, the frame is sent again. */
+  /** Hand a frame to the connection; if that breaks, the frame is sent again. */
   #handOver(connection, sent, wanted) {
     const seq = wanted ?? this.nextSeq;
     this.nextSeq = seq + 1;
-    if (!sent.cut) {
+    if (!sent.cropped) {
       this.wholeNext = false;
       for (const control of this.#controls.takeForNext()) connection.control(control);
     }
@@ -187,16 +189,16 @@ export class Outbox {
     return seq;
   }
 
-  async #cutAnew(sent) {
-    this.#room.taking += 1;
+  async #cropAgain(sent) {
+    this.#gate.taking += 1;
     try {
       const made = await this.#encode(sent.picture, true);
-      this.#handOver(await this.#link.connected(), { ...sent, ...made });
+      this.#handOver(await this.#socket.connected(), { ...sent, ...made });
     } catch (error) {
-      this.#tell.failed(error);
+      this.#hooks.failed(error);
     } finally {
-      this.#room.leave();
-      this.#tell.settled();
+      this.#gate.leave();
+      this.#hooks.settled();
     }
   }
 
@@ -206,13 +208,13 @@ export class Outbox {
   }
 
   #hasRoom() {
-    const { connection } = this.#link;
-    if (!connection || this.#link.holding || this.paused || this.#tell.rests()) return false;
+    const { connection } = this.#socket;
+    if (!connection || this.#socket.holding || this.paused || this.#hooks.isFull()) return false;
     const inFlight = this.#unanswered.size;
     if (this.#options.mode === "lossless") {
-      // A cut is sure to cover what is needed only when the frame before it is answered.
-      const cutting = [...this.#unanswered.values()].some(({ picture }) => picture);
-      return inFlight < (cutting ? 1 : this.#stream.info.credit);
+      // A crop surely covers what is needed only when the frame before it is answered.
+      const cropping = [...this.#unanswered.values()].some(({ picture }) => picture);
+      return inFlight < (cropping ? 1 : this.#stream.info.credit);
     }
     return inFlight < this.#stats.window && !this.#isBuffering(connection);
   }
@@ -223,7 +225,7 @@ export class Outbox {
       this.#polling = true;
       setTimeout(() => {
         this.#polling = false;
-        this.#room.look();
+        this.#gate.update();
       }, BUFFER_POLL_MS);
     }
     return true;

@@ -1,6 +1,7 @@
-/** Who waits until another frame may be sent. One frame at a time is between being taken and being sent. */
+/** Lets frames through one at a time, in order of asking, as soon as there is room for another. */
 
-export class Room {
+export class SendGate {
+  /** Frames that have been let through and are not sent yet. */
   taking = 0;
   #line = [];
   #gate = null;
@@ -8,7 +9,7 @@ export class Room {
   #isFree;
   #onFree;
 
-  /** `isFree()` says whether there is room; `onFree()` is called whenever there is again. */
+  /** `isFree()` returns whether there is room; `onFree()` is called whenever there is room again. */
   constructor(isFree, onFree) {
     this.#isFree = isFree;
     this.#onFree = onFree;
@@ -18,34 +19,34 @@ export class Room {
     return this.#line.length;
   }
 
-  /** Whether somebody who came now would get in. */
+  /** Whether a frame would be let through at once. */
   get free() {
     return this.#line.length === 0 && this.taking === 0 && this.#isFree();
   }
 
-  /** Resolves when there is room, which somebody else may then have taken. */
+  /** Resolves when there is room; another frame may take it first. */
   get freed() {
     if (this.free) return Promise.resolve();
     this.#gate ??= quiet(deferred());
     return this.#gate.promise;
   }
 
-  /** Resolves in order of calling, with the room taken. */
-  turn() {
+  /** Resolves in order of calling; the caller has the room until it calls `leave`. */
+  enter() {
     const turn = deferred();
     this.#line.push(turn);
-    this.look();
+    this.update();
     return turn.promise;
   }
 
-  /** Give back what was taken. */
+  /** Give the room back. */
   leave() {
     this.taking -= 1;
-    this.look();
+    this.update();
   }
 
-  /** Something may have made room. */
-  look() {
+  /** Look whether there is room now; to be called when anything has changed that may have made some. */
+  update() {
     while (this.#line.length && this.taking === 0 && this.#isFree()) {
       this.taking += 1;
       this.#line.shift().resolve();
@@ -60,6 +61,7 @@ export class Room {
     if (opened) this.#onFree();
   }
 
+  /** Reject all that wait. */
   fail(error) {
     this.#open = false;
     for (const turn of this.#line.splice(0)) turn.reject(error);
@@ -68,13 +70,14 @@ export class Room {
   }
 }
 
+/** A promise with the functions that settle it. */
 export function deferred() {
   const made = {};
   made.promise = new Promise((resolve, reject) => Object.assign(made, { resolve, reject }));
   return made;
 }
 
-/** A promise that nobody has to wait for. */
+/** Mark a promise that may be rejected without anybody waiting for it. */
 export function quiet(made) {
   made.promise.catch(() => {});
   return made;

@@ -1,34 +1,35 @@
-/** A stream's connection, kept up: attached at first, resumed after every break, given up when that is in vain. */
+/** Keeps a stream connected: attaches, attaches again after every break, and gives up when that does not help. */
 
-import { Attaching } from "./attaching.js";
+import { Connector } from "./connect.js";
 import { MFCMTError, connectionLost, streamEnded } from "./errors.js";
 
-const CHECKS = 8; // within the time after which silence counts as a break
+const CHECKS = 8; // looks at the connection within `stallMs`
 
-export class Link {
+export class ReconnectingSocket {
   status = "connecting";
-  /** The open connection, when the stream has taken it up. */
+  /** The open connection, once the stream goes on with it; else null. */
   connection = null;
-  /** After the end: resolves when the server has let go of the session. */
+  /** Resolves, after the end, when the service has released the session. */
   released = Promise.resolve();
-  /** The server will not read what is sent from now on; it closes when the rest is answered. */
+  /** Whether the service reads no more, and closes when the rest is answered. */
   holding = false;
-  #attaching;
+  #connector;
   #stream;
   #stallMs;
   #waiting = [];
   #watchdog = null;
   #pauseMs = 0;
   #resumable = true;
-  #hurry = () => this.#attaching.hurry();
+  #hurry = () => this.#connector.hurry();
 
   /**
-   * `stream` is told: `receive(message)`, `takeUp(connection)` before the connection is used, `up()`, `down(error)`, `status(change)`, `end(error)`; and asked whether it is `expecting` an answer.
+   * `stream` is called: `receive(message)`, `takeUp(connection)` before the connection is used, `up()`, `down(error)`,
+   * `status(change)`, `end(error)`, and `expecting()`, which returns whether an answer is due.
    */
   constructor(client, id, options, stream) {
     this.#stream = stream;
     this.#stallMs = options.stallMs;
-    this.#attaching = new Attaching(client, id, options, {
+    this.#connector = new Connector(client, id, options, {
       onMessage: stream.receive,
       takeUp: stream.takeUp,
       onRetry: (error, waitMs) =>
@@ -40,27 +41,27 @@ export class Link {
   async run() {
     try {
       while (this.status !== "closed") {
-        const connection = await this.#attaching.open(this.#pauseMs, this.#resumable);
+        const connection = await this.#connector.open(this.#pauseMs, this.#resumable);
         this.#pauseMs = 0;
         this.#resumable = true;
-        this.#stand(connection);
+        this.#attached(connection);
         const error = await connection.closed;
         if (error.code !== "connection-lost") throw error;
-        this.#fall(error);
+        this.#broke(error);
       }
     } catch (error) {
       this.#stream.end(error instanceof MFCMTError ? error : connectionLost("a fault of the client", error));
     }
   }
 
-  /** The connection when there is one; rejects with what ended the stream. */
+  /** Resolves with the connection as soon as there is one; rejects with what ended the stream. */
   connected() {
     if (this.status === "closed") return Promise.reject(streamEnded());
     if (this.connection) return Promise.resolve(this.connection);
     return new Promise((resolve, reject) => this.#waiting.push({ resolve, reject }));
   }
 
-  /** The server is going away and wants to be tried again after `pauseMs`. */
+  /** The service shuts down and may be tried again after `pauseMs`. */
   drain(pauseMs, resumable) {
     this.#pauseMs = pauseMs;
     this.holding = this.#resumable = resumable;
@@ -71,14 +72,14 @@ export class Link {
     this.#become("closed", error);
     globalThis.removeEventListener?.("online", this.#hurry);
     clearInterval(this.#watchdog);
-    this.#attaching.stop();
+    this.#connector.stop();
     if (this.connection) this.released = this.connection.abandon();
     this.connection?.end(streamEnded());
     this.connection = null;
     for (const { reject } of this.#waiting.splice(0)) reject(error ?? streamEnded());
   }
 
-  #stand(connection) {
+  #attached(connection) {
     if (this.status === "closed") {
       connection.abandon();
       connection.end(streamEnded());
@@ -92,7 +93,7 @@ export class Link {
     for (const { resolve } of this.#waiting.splice(0)) resolve(connection);
   }
 
-  #fall(error) {
+  #broke(error) {
     if (this.status === "closed") return;
     this.connection = null;
     clearInterval(this.#watchdog);
@@ -100,7 +101,7 @@ export class Link {
     this.#stream.down(error);
   }
 
-  /** A connection that carries nothing any more tells so by silence only. */
+  /** Break a connection that is silent while an answer is due: a dead one shows itself in no other way. */
   #watch(connection) {
     let buffered = connection.buffered;
     this.#watchdog = setInterval(() => {
@@ -109,7 +110,7 @@ export class Link {
         connection.heardAt = performance.now();
       } else if (performance.now() - connection.heardAt > this.#stallMs) {
         connection.abandon();
-        connection.end(connectionLost(`nothing was heard for ${this.#stallMs} ms`));
+        connection.end(connectionLost(`nothing came for ${this.#stallMs} ms`));
       }
     }, this.#stallMs / CHECKS);
   }

@@ -1,4 +1,4 @@
-/** Attaching to a session, at first and again after a break. */
+/** Attaches to a session: at first, and again after a break. */
 
 import { codecNamed } from "./codec.js";
 import { connect } from "./connection.js";
@@ -8,7 +8,7 @@ const FIRST_DELAY_MS = 50;
 const LONGEST_DELAY_MS = 5000;
 const IN_BROWSER = typeof document !== "undefined" || typeof WorkerGlobalScope !== "undefined";
 
-export class Attaching {
+export class Connector {
   #client;
   #id;
   #options;
@@ -21,8 +21,8 @@ export class Attaching {
   #hurry = () => {};
 
   /**
-   * `takeUp(connection)` goes on where the stream was; if it rejects, the attempt has failed. `onRetry(error, waitMs)`
-   * tells of every attempt that failed and will be repeated.
+   * `takeUp(connection)` makes the stream go on; if it rejects, the attempt has failed. `onRetry(error, waitMs)` is
+   * called for every attempt that failed and will be repeated.
    */
   constructor(client, id, options, { onMessage, takeUp, onRetry }) {
     this.#client = client;
@@ -34,15 +34,15 @@ export class Attaching {
   }
 
   /**
-   * A new connection after `pauseMs`, tried with back-off. Again, it takes over nothing but what an earlier one of
-   * ours left behind. Rejects with what ended the last attempt, when it cannot pass or the time is over. A service
-   * that is not `resumable` has lost its sessions when it comes back.
+   * Connect after `pauseMs`, with back-off. After the first time only a connection of ours that was left behind is taken
+   * over. Rejects with what ended the last attempt, when trying again does not help or the time is over. A service that
+   * is not `resumable` has lost its sessions when it comes back.
    */
   async open(pauseMs, resumable) {
     const giveUpAt = performance.now() + pauseMs + this.#options.reconnectForMs;
     let delay = FIRST_DELAY_MS;
     let wait = pauseMs;
-    let unheard = false;
+    let unanswered = false;
     for (;;) {
       await this.#pause(wait);
       if (this.#stopped) throw streamEnded();
@@ -50,11 +50,11 @@ export class Attaching {
         return await this.#attempt();
       } catch (failed) {
         if (this.#stopped) throw streamEnded();
-        // An attempt that was not heard may have attached under a name that we do not know.
-        unheard ||= failed.code === "connection-lost";
+        // An attempt without an answer may have attached under a name that we do not know.
+        unanswered ||= failed.code === "connection-lost";
         const error = await this.#explained(failed);
         const again = this.#name !== null;
-        const ours = again && unheard && error.code === "attached-elsewhere";
+        const ours = again && unanswered && error.code === "attached-elsewhere";
         if (performance.now() > giveUpAt || !(ours || mayPass(error, again && resumable))) throw error;
         wait = Math.max(delay * (0.5 + Math.random() / 2), (error.retryAfter ?? 0) * 1000);
         delay = Math.min(2 * delay, LONGEST_DELAY_MS);
@@ -98,7 +98,7 @@ export class Attaching {
     return connection;
   }
 
-  /** A browser cannot show its key on a WebSocket; Node could, and does the same. */
+  /** Return a ticket: a browser cannot send its key with a WebSocket; Node could, and does the same. */
   async #ticket() {
     const { ticket } = this.#options;
     if (typeof ticket === "function") {
@@ -116,7 +116,7 @@ export class Attaching {
     return (await this.#client.ticket(this.#id, undefined, { timeoutMs: this.#options.stallMs })).ticket;
   }
 
-  /** Outside of browsers a refused handshake is an HTTP status at best, without its problem: ask for the reason. */
+  /** Find out why a handshake was refused: outside of browsers there is an HTTP status at best, without its problem. */
   async #explained(failed) {
     if (IN_BROWSER || failed.type !== "about:blank" || this.#options.ticket) return failed;
     try {
