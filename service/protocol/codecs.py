@@ -138,10 +138,10 @@ def _kind(sent: dict[str, Any], frame: str) -> str:
     kind = sent.get("type")
     if isinstance(kind, str) and (kind == frame or kind in CONTROLS):
         return kind
-    told = f"type is one of {', '.join((frame, *CONTROLS))}"
+    detail = f"type is one of {', '.join((frame, *CONTROLS))}"
     if kind == FrameMessage.TYPE:
-        told += "; in mfcmt.v1.json a frame is a binary message, the image's bytes alone"
-    raise ProblemError(ProblemCode.BAD_REQUEST, told)
+        detail += "; in mfcmt.v1.json a frame is a binary message, the image's bytes alone"
+    raise ProblemError(ProblemCode.BAD_REQUEST, detail)
 
 
 def _frame(sent: dict[str, Any]) -> ReceivedFrame:

@@ -105,8 +105,8 @@ def check_echo(name: str, value: Any) -> float | str | None:
         return value
     if type(value) is str and len(value) <= MAX_ECHO_CHARACTERS:
         return value
-    told = f"{name} is a number or a string of at most {MAX_ECHO_CHARACTERS} characters"
-    raise ProblemError(ProblemCode.BAD_REQUEST, told)
+    detail = f"{name} is a number or a string of at most {MAX_ECHO_CHARACTERS} characters"
+    raise ProblemError(ProblemCode.BAD_REQUEST, detail)
 
 
 def check_target(value: Any) -> int:

@@ -273,7 +273,7 @@ export type Pixels =
 export type Source = Encoded | Pixels;
 
 /**
- * Everything this client throws on purpose. `code` is one of the protocol's problems (with the status 0 where the client
+ * Every error that this client throws on purpose. `code` is one of the protocol's problems (with the status 0 where the client
  * itself refused what it was given), or of the client's own:
  * `connection-lost` (the server cannot be reached, or not again in time), `stream-ended` (used after its end),
  * `unsupported-source` (not a frame, or pixels where nothing can encode them), `aborted`, `no-websocket`.
@@ -282,7 +282,7 @@ export class MFCMTError extends Error {
   constructor(problem: Partial<ProblemDocument>, context?: { seq?: number | null; ref?: unknown; cause?: unknown });
   readonly code: ProblemCode | "connection-lost" | "stream-ended" | "unsupported-source" | "aborted" | "no-websocket" | (string & {});
   readonly type: string;
-  /** HTTP status; 0 where no server said anything. */
+  /** HTTP status; 0 where there was no answer. */
   readonly status: number;
   readonly title: string;
   readonly detail: string;
@@ -330,10 +330,10 @@ export interface CreateOptions extends EncodeOptions {
   box?: Box | number[];
   boxes?: (Box | number[])[];
   options?: SessionOptions;
-  /** Repeating the call with the same key and body gives the same session. Made up when not given. */
+  /** Repeating the call with the same key and body gives the same session. Random by default. */
   idempotencyKey?: string;
   signal?: AbortSignal;
-  /** A service that has no lane ready yet, or no place, is asked again for so long. Default 30,000. */
+  /** How long to ask again while the service has no ready lane or no place. Default 30,000. */
   waitMs?: number;
 }
 
@@ -350,11 +350,11 @@ export interface StreamOptions extends EncodeOptions {
   frames?: Iterable<Source> | AsyncIterable<Source>;
   /** End another attachment of the session on attaching. Reconnecting never does. */
   takeover?: boolean;
-  /** A ticket, or what gives one for each handshake: for pages that hold no key. */
+  /** A ticket, or a function that returns one for each handshake: for pages that hold no key. */
   ticket?: string | (() => string | Promise<string>);
-  /** For how long a broken connection is tried again, also while others stand in for the service. Default 60,000. */
+  /** How long a broken connection is tried again, also while others stand in for the service. Default 60,000. */
   reconnectForMs?: number;
-  /** Frames unanswered and nothing heard for this long: the connection counts as broken. Default 10,000. */
+  /** A connection that is silent for this long while frames are unanswered counts as broken. Default 10,000. */
   stallMs?: number;
   signal?: AbortSignal;
 }
@@ -364,7 +364,7 @@ export interface SendOptions {
   ts?: number | string;
   /** An encoded image shows only this part of the frame. */
   region?: Region;
-  /** The frame's number; counted on by default. */
+  /** The frame's number; the next one by default. */
   seq?: number;
   /** The stream may consume the ImageBitmap or VideoFrame and closes it, instead of taking a copy. */
   transfer?: boolean;
@@ -388,7 +388,7 @@ export interface StreamStats {
   inFlight: number;
   /** Of images only. */
   bytesSent: number;
-  /** By regions; estimated from whole frames that are encoded now and then to know. */
+  /** By regions; estimated from whole frames that are encoded now and then for comparison. */
   bytesSaved: number;
   /** From `send` to the result, of the last frame and over the last 120; null before the first. */
   latencyMs: number | null;
@@ -447,11 +447,11 @@ export class Stream {
   maxSide: number | null;
   /** Where pixels are encoded; null until the first are. */
   readonly encoder: "worker" | "main" | null;
-  /** What the server said on attaching; null before. */
+  /** What the service said on attaching; null before. */
   readonly info: Ready | null;
   /** The session's frame; null before the stream is attached. */
   readonly size: Size | null;
-  /** The targets as last told. */
+  /** The targets as the service said last. */
   readonly targets: Target[];
   /** The part of the coming frames that is needed; null for none. */
   readonly region: Region | null;
@@ -459,7 +459,7 @@ export class Stream {
   readonly canSend: boolean;
   /** Resolves when a frame would be taken. Rejects when the stream has ended. */
   readonly ready: Promise<void>;
-  /** Resolves when the stream has ended; rejects with what ended it if that was not its user. */
+  /** Resolves when the stream has ended; rejects with the error that ended it, if its user did not. */
   readonly closed: Promise<void>;
   readonly paused: boolean;
   /** The counters now (a copy). */
@@ -476,7 +476,7 @@ export class Stream {
   /**
    * Send the frame that the source shows now. `latest`: a frame that cannot be taken now is skipped. `lossless`:
    * waits for room. Resolves when it is handed to the socket, with its number, or with null if it was skipped.
-   * Rejects for a bad source or an ended stream; what the server refuses is told by `problem`.
+   * Rejects for a bad source or an ended stream; what the server refuses is an event `problem`.
    */
   send(source: Source, options?: SendOptions): Promise<number | null>;
   /** Send each frame that a playing video shows, at most `fps` a second, until the function returned is called. */
@@ -499,7 +499,7 @@ export class Stream {
 
 export class Session {
   readonly id: string;
-  /** What the server last said of it. */
+  /** The session as the service described it last. */
   readonly info: SessionInfo;
   refresh(): Promise<SessionInfo>;
   /** End the session. */
@@ -543,7 +543,7 @@ export function encodeFrame(
 ): Promise<{ blob: Blob; size: Size }>;
 /** The size of a `width`×`height` frame when its longer side may be `maxSide` at most. */
 export function fittedSize(width: number, height: number, maxSide?: number | null): Size;
-/** What `regions: "auto"` means here: a mobile device, or a browser that is to save data. */
+/** Whether `regions: "auto"` sends regions here: on a mobile device, or in a browser that is to save data. */
 export function regionsByDefault(): boolean;
 /** The version of this client. */
 export const VERSION: string;
