@@ -1,4 +1,4 @@
-"""The application, built from its settings and from nothing else."""
+"""The application, built from its settings."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from .api import (
     trajectory,
     web,
 )
-from .api.middleware import Surroundings
+from .api.middleware import RequestMiddleware
 from .api.stream import StreamEndpoint
-from .auth import Gate
+from .auth import Authenticator
 from .lanes.interface import Lanes
 from .lanes.pool import LanePool
-from .observability.exposition import Exposition
+from .observability.exporter import PrometheusExporter
 from .observability.metrics import Metrics
 from .service import Service
 from .sessions.byte_budget import ByteBudget
@@ -48,9 +48,9 @@ if TYPE_CHECKING:
     from .observability.tracing import Tracing
 
 SECRET_BYTES = 32
-# After a fault in the background, so that one that lasts does not fill the log.
+# Pause after a fault in the background, so that one that lasts does not fill the log.
 AGAIN_S = 1.0
-# Of one key; others wait for their turn.
+# Snapshots and trajectories of one key that are made at once; others wait for their turn.
 SNAPSHOTS_AT_ONCE = TRAJECTORIES_AT_ONCE = 2
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.app")
@@ -62,22 +62,37 @@ def create_app(
     lanes: Lanes | None = None,
     clock: Callable[[], float] = time.monotonic,
 ) -> FastAPI:
-    """The service as an ASGI application; ``app.state.service`` holds its parts.
+    """Return the service as an ASGI application; ``app.state.service`` holds its parts.
 
-    ``lanes`` replaces the worker processes, ``clock`` the monotonic clock of expiry; tests do so.
+    Parameters
+    ----------
+    settings
+        The settings; by default those of the environment.
+    lanes
+        Takes the place of the worker processes, in tests.
+    clock
+        The monotonic clock of expiry in seconds, which tests replace.
     """
     settings = settings or Settings()
     metrics = Metrics(_tracing(settings))
     lanes = lanes or local_lanes(settings)
-    gate = Gate(settings, clock)
-    registry = SessionRegistry(settings, lanes, metrics, clock, gate.owners)
+    authenticator = Authenticator(settings, clock)
+    registry = SessionRegistry(settings, lanes, metrics, clock, authenticator.owners)
     secrets = [secret.get_secret_value().encode() for secret in settings.signing_keys]
     signer = SnapshotSigner(secrets or [token_bytes(SECRET_BYTES)])
     rate_limiter, byte_budget = RateLimiter(settings, clock), ByteBudget(settings.max_upload_bytes)
-    metrics.watch_room(byte_budget)
-    exposition = Exposition(metrics, registry.__len__, settings.capacity, lanes, registry.store.budget)
+    metrics.watch_byte_budget(byte_budget)
     service = Service(
-        settings, lanes, registry, gate, metrics, exposition, rate_limiter, byte_budget, signer, *slots(settings)
+        settings,
+        lanes,
+        registry,
+        authenticator,
+        metrics,
+        PrometheusExporter(metrics, registry.__len__, settings.capacity, lanes, registry.store.budget),
+        rate_limiter,
+        byte_budget,
+        signer,
+        *slots(settings),
     )
 
     app = FastAPI(
@@ -87,6 +102,7 @@ def create_app(
         docs_url=None,
         redoc_url=None,
         redirect_slashes=False,
+        generate_unique_id_function=lambda route: route.name,
     )
     app.state.service = service
     calls = (sessions, frames, targets, trajectory, snapshot, ticket, capabilities)
@@ -97,23 +113,23 @@ def create_app(
     stream = StreamEndpoint(service)
     for path in ("/v1/sessions/{session_id}/stream", "/{path:path}"):  # the second refuses
         app.router.routes.append(WebSocketRoute(path, stream))
-    app.add_middleware(Surroundings, service=service)
+    app.add_middleware(RequestMiddleware, service=service)
     errors.install(app)
-    openapi.install(app, routers, settings)
+    openapi.install(app, settings)
     app.state.documents = docs.Documents.of(app)
     app.state.assets = web.load()
     return app
 
 
 def slots(settings: Settings) -> tuple[ConcurrencyLimit, ConcurrencyLimit]:
-    """How many snapshots and trajectories of a key are made at once."""
+    """Return the limits of snapshots and of trajectories of a key that are made at once."""
     wait_s = settings.operation_deadline_s
     snapshots = ConcurrencyLimit(SNAPSHOTS_AT_ONCE, wait_s, "snapshots")
     return snapshots, ConcurrencyLimit(TRAJECTORIES_AT_ONCE, wait_s, "trajectories")
 
 
 def local_lanes(settings: Settings) -> LanePool:
-    """Worker processes on this machine. The settings leave the environment for it: lanes inherit that."""
+    """Return worker processes on this machine. They inherit the environment, so the settings are taken out of it."""
     settings.leave_environment()
     return LanePool(
         settings.lanes,
@@ -133,13 +149,13 @@ def _tracing(settings: Settings) -> Tracing | None:
     return Tracing(settings.otlp_endpoint, settings.trace_ratio, version("mfcmt"))
 
 
-async def _lasting(work: Callable[[], Coroutine[Any, Any, None]]) -> None:
-    """Do ``work``, which does not end by itself; once more whenever it fails."""
+async def _run_forever(work: Callable[[], Coroutine[Any, Any, None]]) -> None:
+    """Do ``work``, which does not end by itself, and start it again whenever it fails."""
     while True:
         try:
             await work()
         except Exception:
-            log.exception("work in the background failed and begins anew")
+            log.exception("background task failed and is started again")
         await asyncio.sleep(AGAIN_S)
 
 
@@ -148,24 +164,24 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     service: Service = app.state.service
     settings = service.settings
     if not settings.signing_keys:
-        log.warning("no MFCMT_SIGNING_KEYS: snapshots are good until this process ends")
+        log.warning("no MFCMT_SIGNING_KEYS: snapshots are valid until this process ends")
     if not settings.authenticated and not settings.on_loopback:
         log.warning("listening beyond loopback without keys: everyone shares all sessions", host=settings.host)
     if not settings.state_dir:
         log.warning("no MFCMT_STATE_DIR: sessions end with this process")
-    keepers: list[asyncio.Task[None]] = []
+    tasks: list[asyncio.Task[None]] = []
     try:
         await service.registry.load()
         await service.lanes.start()
         registry = service.registry
         background = [registry.run_sweeper, registry.follow_lanes, service.follow_keys, service.metrics.lag.watch]
-        keepers += [asyncio.create_task(_lasting(work)) for work in background]
+        tasks += [asyncio.create_task(_run_forever(work)) for work in background]
         yield
     finally:
         await service.registry.save_all()
-        for store in keepers:
-            store.cancel()
-        await asyncio.gather(*keepers, return_exceptions=True)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
         await service.lanes.stop()
         if service.metrics.tracing is not None:
             await asyncio.to_thread(service.metrics.tracing.stop)

@@ -1,4 +1,4 @@
-"""Who is asking: API keys, one-use tickets, browser origins."""
+"""Authentication: API keys, one-use tickets, browser origins."""
 
 from __future__ import annotations
 
@@ -12,32 +12,35 @@ import structlog
 
 from .hosts import Hosts
 from .keys import Identity, by_digest, digest, read_keys
-from .problems import ProblemError
+from .protocol.enums import ProblemCode
+from .protocol.problems import ProblemError
 from .sessions.ttl_cache import TTLCache
 from .settings import Settings
 
 ANYONE = "anyone"
 TICKET_PROTOCOL = "mfcmt.ticket."
-UNKNOWN_HOST = "without keys only addresses, localhost and the hosts of MFCMT_HOST and MFCMT_PUBLIC_URL are answered to"
+UNKNOWN_HOST = (
+    "a service without keys answers to IP addresses, localhost and the hosts of MFCMT_HOST and MFCMT_PUBLIC_URL alone"
+)
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.auth")
 
 
 @dataclass(frozen=True, slots=True)
 class Ticket:
-    """What a ticket opens, and for whom."""
+    """The session that a ticket opens, and the identity of its owner."""
 
     identity: Identity
     session: str
 
 
-class Gate:
-    """Keys are kept and compared as digests, in constant time."""
+class Authenticator:
+    """Tells callers by their keys and tickets. Keys are kept as digests and compared in constant time."""
 
     def __init__(self, settings: Settings, clock: Callable[[], float]) -> None:
         self._fixed = by_digest(key.get_secret_value() for key in settings.api_keys)
         self._file = settings.api_keys_file
-        self._file_is = self._file_was = self._look()
+        self._read_version = self._seen_version = self._file_version()
         self._open = not settings.authenticated
         self._keys = self._read() or self._fixed
         self._admin = digest(settings.admin_key.get_secret_value()) if settings.admin_key else None
@@ -46,19 +49,19 @@ class Gate:
         self._tickets: TTLCache[Ticket] = TTLCache(settings.max_tickets, settings.ticket_s, clock)
 
     def refresh(self) -> bool:
-        """Read the file of keys again if it has changed and is at rest: whether the keys have changed.
+        """Read the key file again if it has changed and is at rest. Return whether the keys have changed.
 
-        It is at rest when two calls in a row find it the same: one that is being written would revoke those keys that
-        it does not hold yet. A file that cannot be read changes nothing.
+        The file is at rest when two calls in a row find it unchanged. A file that is still being written would revoke
+        the keys that it does not hold yet. A file that cannot be read changes nothing.
         """
-        found = self._look()
-        rests, self._file_was = found == self._file_was, found
-        if not rests or found == self._file_is:
+        found = self._file_version()
+        at_rest, self._seen_version = found == self._seen_version, found
+        if not at_rest or found == self._read_version:
             return False
         keys = self._read()
-        if keys is not None and self._look() != found:
+        if keys is not None and self._file_version() != found:
             return False  # it was written meanwhile
-        self._file_is = found
+        self._read_version = found
         if keys is None or keys == self._keys:
             return False
         self._keys = keys
@@ -66,53 +69,53 @@ class Gate:
         return True
 
     def sweep(self) -> None:
-        """Forget tickets that are too old."""
+        """Drop tickets that have expired."""
         self._tickets.sweep()
 
-    def _look(self) -> tuple[int, ...]:
-        """What changes with the file of keys; nothing where it is not to be had."""
+    def _file_version(self) -> tuple[int, ...]:
+        """Return numbers that change with the key file; none if it cannot be read."""
         if self._file is None:
             return ()
         try:
-            told = os.stat(self._file)
+            found = os.stat(self._file)
         except OSError:
             return ()
-        return told.st_ino, told.st_mtime_ns, told.st_size
+        return found.st_ino, found.st_mtime_ns, found.st_size
 
     def _read(self) -> dict[bytes, str] | None:
-        """All keys, those of the file among them; None if it cannot be read."""
+        """Return all keys, those of the file included; None if the file cannot be read."""
         if self._file is None:
             return self._fixed
         try:
             return self._fixed | read_keys(self._file)
         except ValueError as unreadable:
-            log.error("the keys stay as they were", reason=str(unreadable))
+            log.error("key file not read: the keys stay as they were", reason=str(unreadable))
             return None
 
     def owners(self) -> int:
-        """How many owners the keys stand for; one where everyone is let in."""
+        """Return how many owners the keys belong to: one if there are no keys."""
         return len(set(self._keys.values())) or 1
 
     def knows(self, identity: Identity) -> bool:
-        """Whether the key that the identity was shown with is good still."""
+        """Return whether the identity's key is still valid."""
         return self._open or self._keys.get(identity.key) == identity.owner
 
     def identify(self, headers: Mapping[str, str]) -> Identity:
-        """Who shows this key. Raises unauthenticated."""
+        """Return the identity of the key in ``headers``. Raises unauthenticated."""
         if self._open:
             return Identity(ANYONE, b"")
         shown = _shown(headers)
         if shown is None:
             raise _unauthenticated("no key was shown")
-        told = digest(shown)
-        # Every key is compared, so that time tells nothing about which is near.
-        matches = [key for key in self._keys if hmac.compare_digest(told, key)]
+        wanted = digest(shown)
+        # Every key is compared, so that the time says nothing about the keys.
+        matches = [key for key in self._keys if hmac.compare_digest(wanted, key)]
         if not matches:
             raise _unauthenticated("the key is not valid")
         return Identity(self._keys[matches[0]], matches[0])
 
     def check_admin(self, headers: Mapping[str, str]) -> None:
-        """Raises unauthenticated where an admin key is set and not shown."""
+        """Raise unauthenticated if an admin key is set and ``headers`` do not have it."""
         if self._admin is None:
             return
         shown = _shown(headers)
@@ -120,21 +123,21 @@ class Gate:
             raise _unauthenticated("the admin key is needed")
 
     def check_browser(self, headers: Mapping[str, str]) -> None:
-        """Raises host-refused, origin-refused for a browser's page that may not call the service.
+        """Raise host-refused or origin-refused if a browser's page may not call the service.
 
-        A page has to be the service's own or on the list. Whoever owns a name can point it at this service, and a
-        browser then takes his page for the service's own. A key would protect it; where there are none, the service
-        answers to names alone that are its own.
+        A page must be the service's own or come from an allowed origin. The owner of any domain can point it at this
+        service, and a browser then takes the owner's page for the service's own. A key protects against that. Without
+        keys, the service answers to its own names alone.
         """
         host = headers.get("host", "").lower()
         if not self._answers_to(host):
-            raise ProblemError("host-refused", UNKNOWN_HOST)
+            raise ProblemError(ProblemCode.HOST_REFUSED, UNKNOWN_HOST)
         origin = headers.get("origin")
         if origin is not None and not self.allows(origin.lower(), host):
-            raise ProblemError("origin-refused", "the origin is not on the list")
+            raise ProblemError(ProblemCode.ORIGIN_REFUSED, "the origin is not on the list")
 
     def allows(self, origin: str, host: str) -> bool:
-        """Whether a page of ``origin`` may call the service at ``host``; both in lower case."""
+        """Return whether a page of ``origin`` may call the service at ``host``; both in lower case."""
         if origin in self._origins:
             return True
         return bool(host) and origin in (f"http://{host}", f"https://{host}") and self._answers_to(host)
@@ -143,15 +146,15 @@ class Gate:
         return self._hosts is None or self._hosts.know(host)
 
     def issue(self, identity: Identity, session: str, seconds: float) -> str:
-        """A ticket for one handshake."""
+        """Return a new ticket for one handshake, valid for ``seconds``."""
         ticket = secrets.token_urlsafe(32)
         self._tickets.put(identity.owner, digest(ticket).hex(), Ticket(identity, session), seconds)
         return ticket
 
     def redeem(self, protocols: Sequence[str], session: str) -> Identity | None:
-        """Who the ticket is of, among the offered subprotocols; spent by this. None without one.
+        """Spend the ticket among the offered subprotocols and return its owner's identity; None without a ticket.
 
-        Raises unauthenticated.
+        Raises unauthenticated if the ticket is unknown, spent, expired, or of another session.
         """
         shown = [p.removeprefix(TICKET_PROTOCOL) for p in protocols if p.startswith(TICKET_PROTOCOL)]
         if not shown:
@@ -170,6 +173,6 @@ def _shown(headers: Mapping[str, str]) -> str | None:
 
 
 def _unauthenticated(detail: str) -> ProblemError:
-    problem = ProblemError("unauthenticated", detail)
+    problem = ProblemError(ProblemCode.UNAUTHENTICATED, detail)
     problem.headers["WWW-Authenticate"] = "Bearer"
     return problem

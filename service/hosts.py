@@ -1,4 +1,4 @@
-"""The names by which a service without keys may be called."""
+"""The host names that a service without keys answers to."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ AUTHORITY = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^\[\]:@/]+))(?::\d*)?")
 
 
 class Hosts:
-    """Names that nobody else can point at this machine: addresses, localhost, what the operator has named."""
+    """The names that nobody else can point at this machine: IP addresses, localhost, those that the operator set."""
 
     def __init__(self, *own: str) -> None:
         self._names = frozenset(filter(None, map(_name, own)))
 
     def know(self, host: str) -> bool:
-        """Whether a ``Host`` header, in lower case, has one of the names; whoever sends none is no browser."""
+        """Return whether a ``Host`` header, in lower case, has one of the names; or is absent, as in no browser."""
         name = _name(host)
         return not host or name == LOCAL or name.endswith(f".{LOCAL}") or name in self._names or _is_address(name)
 
 
 @lru_cache(256)
-def _name(told: str) -> str:
-    """The name of a host in a URL, or with or without its port; nothing if there is none."""
-    _, url, rest = told.lower().partition("://")
-    authority = rest.partition("/")[0] if url else told.lower()
+def _name(text: str) -> str:
+    """Return the host name in a URL or in ``host:port``; "" if there is none."""
+    _, url, rest = text.lower().partition("://")
+    authority = rest.partition("/")[0] if url else text.lower()
     if _is_address(authority):
-        return authority  # an IPv6 address without brackets, as MFCMT_HOST has it
+        return authority  # an IPv6 address without brackets, as in MFCMT_HOST
     found = AUTHORITY.fullmatch(authority)
     return (found[1] or found[2]).rstrip(".") if found else ""
 

@@ -1,4 +1,4 @@
-"""API keys: what the service keeps of them, and the file that they may be read from."""
+"""API keys: their digests, their owners, and the file from which they may be read."""
 
 from __future__ import annotations
 
@@ -9,30 +9,30 @@ from dataclasses import dataclass
 from pathlib import Path
 
 LEAST_CHARACTERS = 16
-# Of a digest, as the name of an owner: enough to tell any two keys apart.
+# Characters of a digest that name an owner: enough to tell any two keys apart.
 NAME_CHARACTERS = 32
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """The owner, an opaque name, and the digest of the key that was shown for it."""
+    """A caller: the owner, an opaque name, and the digest of the key that the caller showed."""
 
     owner: str
     key: bytes
 
 
 def digest(secret: str) -> bytes:
-    """What is kept and compared instead of a secret."""
+    """Return the digest of a secret, which is kept and compared in its place."""
     return hashlib.sha256(secret.encode()).digest()
 
 
 def by_digest(keys: Iterable[str]) -> dict[bytes, str]:
-    """The owner of each key by its digest; every key is an owner of its own."""
+    """Return the owner of each key by its digest; every key has an owner of its own."""
     return {digest(key): digest(key).hex()[:NAME_CHARACTERS] for key in keys}
 
 
 def check_key(key: str) -> None:
-    """Raises ValueError for what no client can show in a header, and for what can be guessed."""
+    """Raise ValueError for a key that no header can carry, or that can be guessed."""
     if not (key.isascii() and key.isprintable()):
         raise ValueError("a key has printable ASCII characters only: no header can carry others")
     if len(key) < LEAST_CHARACTERS:
@@ -40,9 +40,9 @@ def check_key(key: str) -> None:
 
 
 def read_keys(path: Path) -> dict[bytes, str]:
-    """The owner of each key of a file by its digest; lines of the same name are keys of one owner.
+    """Return the owner of each key of a file by its digest; lines with the same name are keys of one owner.
 
-    Raises ValueError, whose text holds no key.
+    Raises ValueError, whose text never holds a key.
     """
     owners: dict[bytes, str] = {}
     for number, line in enumerate(_text(path).splitlines(), 1):
@@ -63,7 +63,7 @@ def read_keys(path: Path) -> dict[bytes, str]:
 
 
 def _text(path: Path) -> str:
-    """The file's text, without the mark that some editors put in front. Raises ValueError."""
+    """Return the file's text without a byte order mark. Raises ValueError."""
     try:
         data = path.read_bytes()
     except OSError as failed:

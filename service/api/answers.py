@@ -1,4 +1,4 @@
-"""Answers as they go out: JSON or MessagePack by ``Accept``, problems always as problem+json."""
+"""Media types: their names, the one that an ``Accept`` header prefers, and answers in the one that was chosen."""
 
 from __future__ import annotations
 
@@ -8,39 +8,55 @@ from typing import Any
 from starlette.requests import Request
 from starlette.responses import Response
 
-from ..problems import MEDIA_TYPE, ProblemError
-from ..schemas.packed import to_json, to_msgpack
-from .bodies import JSON, MSGPACK
+from ..protocol.documents import to_json, to_msgpack
+from ..protocol.enums import ProblemCode
+from ..protocol.problems import MEDIA_TYPE, ProblemError
 
-# Browsers send two hundred; of a longer one the beginning counts.
+JSON, MSGPACK, FORM = "application/json", "application/msgpack", "multipart/form-data"
+SNAPSHOT, BYTES = "application/vnd.mfcmt.snapshot", "application/octet-stream"
+# Browsers send two hundred characters. Of a longer header only the beginning counts.
 MAX_ACCEPT_CHARACTERS = 1024
+MAX_TYPE_CHARACTERS = 256
 
 
-def chosen_type(request: Request, *offered: str) -> str:
-    """The media type of ``offered`` that the caller likes best, the first on a tie. Raises not-acceptable."""
+def content_type(request: Request) -> str:
+    """Return the media type of the body, without parameters. Raises unsupported-media-type for a very long one."""
+    sent = request.headers.get("content-type", "")
+    if len(sent) > MAX_TYPE_CHARACTERS:
+        detail = f"Content-Type has at most {MAX_TYPE_CHARACTERS} characters"
+        raise ProblemError(ProblemCode.UNSUPPORTED_MEDIA_TYPE, detail)
+    return sent.partition(";")[0].strip().lower()
+
+
+def unsupported(*known: str) -> ProblemError:
+    """Return the refusal of a body whose media type is none of ``known``."""
+    return ProblemError(ProblemCode.UNSUPPORTED_MEDIA_TYPE, f"Content-Type is one of {', '.join(known)}")
+
+
+def preferred(request: Request, *offered: str) -> str:
+    """Return the media type of ``offered`` that ``Accept`` prefers, the first one on a tie. Raises not-acceptable."""
     accept = request.headers.get("accept", "").strip()[:MAX_ACCEPT_CHARACTERS]
     if not accept:
         return offered[0]
-    ranges = [_range(part) for part in accept.split(",")]
-    best, best_quality = "", 0.0
-    for kind in offered:
-        quality = _quality(kind, ranges)
-        if quality > best_quality:
-            best, best_quality = kind, quality
-    if not best:
-        raise ProblemError("not-acceptable", f"{', '.join(offered)} can be made")
+    qualities: dict[str, float] = {}
+    for part in accept.split(","):
+        name, quality = _range(part)
+        qualities.setdefault(name, quality)
+    best = max(offered, key=lambda kind: _quality(kind, qualities))
+    if not _quality(best, qualities):
+        raise ProblemError(ProblemCode.NOT_ACCEPTABLE, f"the answer is available as {', '.join(offered)}")
     return best
 
 
-def answer(kind: str, status: int, content: Any, headers: Mapping[str, str] | None = None) -> Response:
-    """``content`` in the media type that was chosen."""
+def encode(kind: str, content: Any, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
+    """Return the answer ``content`` as JSON or MessagePack, which ``kind`` names."""
     if kind == MSGPACK:
         return Response(to_msgpack(content), status, headers, MSGPACK)
     return Response(to_json(content), status, headers, JSON)
 
 
 def problem_response(problem: ProblemError, request_id: str) -> Response:
-    """The answer to a refused call."""
+    """Return the answer to a refused call, always as JSON."""
     headers = dict(problem.headers)
     if "retry_after_s" in problem.members:
         headers["Retry-After"] = str(max(1, round(problem.members["retry_after_s"])))
@@ -48,6 +64,7 @@ def problem_response(problem: ProblemError, request_id: str) -> Response:
 
 
 def _range(part: str) -> tuple[str, float]:
+    """Return a media range of ``Accept`` and its quality; one that cannot be read has quality 0."""
     kind, *params = (piece.strip().lower() for piece in part.split(";"))
     quality = 1.0
     for param in params:
@@ -60,11 +77,7 @@ def _range(part: str) -> tuple[str, float]:
     return kind, quality
 
 
-def _quality(kind: str, ranges: list[tuple[str, float]]) -> float:
-    """RFC 9110: the most exact range decides."""
+def _quality(kind: str, qualities: Mapping[str, float]) -> float:
+    """Return the quality of a media type: the most exact range decides (RFC 9110)."""
     family = kind.partition("/")[0] + "/*"
-    for name in (kind, family, "*/*"):
-        for range_, quality in ranges:
-            if range_ == name:
-                return quality
-    return 0.0
+    return next((qualities[name] for name in (kind, family, "*/*") if name in qualities), 0.0)

@@ -1,47 +1,50 @@
-"""What the service can do and what it accepts."""
+"""The limits and abilities of the service."""
 
 from __future__ import annotations
 
 from importlib.metadata import version
-from typing import Any, get_args
+from typing import Any
 
 from fastapi import APIRouter
 from starlette.responses import Response
 
-from ..schemas.session import Limits, Preset
+from ..protocol.answers import Capabilities, Limits, field_names, message
+from ..protocol.codecs import CODECS
+from ..protocol.enums import IMAGE_TYPES, VERSION, Mode, Preset, TrajectoryFormat
 from ..service import Service
 from ..snapshot_signer import READABLE
 from . import contract
-from .answers import answer
-from .deps import Accepted, Caller, ServiceDep
-
-PROTOCOL_VERSION = 1
-SUBPROTOCOLS = ["mfcmt.v1.json", "mfcmt.v1.msgpack"]
-IMAGE_TYPES = ["image/jpeg", "image/png", "image/webp"]
+from .deps import AnswerDep, Caller, ServiceDep
 
 router = APIRouter(tags=["service"])
 
 
-@router.get("/capabilities", **contract.CAPABILITIES)
-async def get_capabilities(service: ServiceDep, caller: Caller, accepted: Accepted) -> Response:  # noqa: ARG001
-    """Limits, presets, image types, versions."""
-    return answer(accepted, 200, capabilities(service))
+@router.get(
+    "/capabilities",
+    response_model=Capabilities,
+    response_description="what this service can do",
+    responses=contract.problems(*contract.ANY_CALL, *contract.NEGOTIATED),
+)
+async def get_capabilities(service: ServiceDep, _caller: Caller, answer: AnswerDep) -> Response:
+    """Limits, subprotocols, presets, formats and versions."""
+    return answer(capabilities(service))
 
 
 def capabilities(service: Service) -> dict[str, Any]:
-    """The Capabilities of the protocol."""
-    limits = {name: getattr(service.settings, name) for name in Limits.model_fields}
+    """Return the Capabilities of the protocol."""
+    limits = {name: getattr(service.settings, name) for name in field_names(Limits)}
     shares = service.registry.shares
     limits |= {"max_sessions_per_key": shares.sessions, "max_streams_per_key": shares.streams}
     lanes = next((status.versions for status in service.lanes.status() if status.versions), {})
-    return {
-        "protocol": PROTOCOL_VERSION,
-        "subprotocols": SUBPROTOCOLS,
-        "modes": ["latest", "lossless"],
-        "presets": list(get_args(Preset)),
-        "image_types": IMAGE_TYPES,
-        "trajectory_formats": ["json", "csv", "otb", "mot"],
-        "snapshot_versions": list(READABLE),
-        "limits": limits,
-        "software": {"mfcmt": version("mfcmt")} | lanes,
-    }
+    return message(
+        Capabilities,
+        protocol=VERSION,
+        subprotocols=list(CODECS),
+        modes=list(Mode),
+        presets=list(Preset),
+        image_types=list(IMAGE_TYPES),
+        trajectory_formats=list(TrajectoryFormat),
+        snapshot_versions=list(READABLE),
+        limits=limits,
+        software={"mfcmt": version("mfcmt")} | lanes,
+    )

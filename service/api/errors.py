@@ -1,4 +1,4 @@
-"""What refuses a call, in words of the catalogue; faults of ours are the middleware's to tell."""
+"""Refusals of calls as problems of the catalogue; the middleware answers faults of the service itself."""
 
 from __future__ import annotations
 
@@ -10,10 +10,15 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 
-from ..problems import CATALOGUE, ProblemError
+from ..protocol.enums import ProblemCode
+from ..protocol.problems import CATALOGUE, ProblemError
 from .answers import problem_response
 
-BY_STATUS = {404: "not-found", 405: "method-not-allowed", 413: "body-too-large"}
+BY_STATUS = {
+    404: ProblemCode.NOT_FOUND,
+    405: ProblemCode.METHOD_NOT_ALLOWED,
+    413: ProblemCode.BODY_TOO_LARGE,
+}
 
 
 def install(app: FastAPI) -> None:
@@ -26,7 +31,7 @@ def install(app: FastAPI) -> None:
 async def _problem(request: Request, problem: Exception) -> Response:
     assert isinstance(problem, ProblemError)
     request.state.problem = problem
-    await request.app.state.service.late(request.scope)
+    await request.app.state.service.delay_refusal(request.scope)
     return problem_response(problem, request.state.request_id)
 
 
@@ -34,28 +39,28 @@ async def _validation(request: Request, wrong: Exception) -> Response:
     assert isinstance(wrong, RequestValidationError)
     first = wrong.errors()[0]
     place = ".".join(str(part)[:40] for part in first["loc"])
-    return await _problem(request, ProblemError("bad-request", f"{place}: {first['msg']}"))
+    return await _problem(request, ProblemError(ProblemCode.BAD_REQUEST, f"{place}: {first['msg']}"))
 
 
 async def _http(request: Request, failed: Exception) -> Response:
     assert isinstance(failed, HTTPException)
-    code = BY_STATUS.get(failed.status_code, "bad-request")
-    problem = ProblemError(code, _to_a_stream(request) or CATALOGUE[code].example)
+    code = BY_STATUS.get(failed.status_code, ProblemCode.BAD_REQUEST)
+    problem = ProblemError(code, _hint_of_stream(request) or CATALOGUE[code].example)
     problem.headers.update(failed.headers or {})
-    if code == "method-not-allowed":
+    if code is ProblemCode.METHOD_NOT_ALLOWED:
         problem.headers["Allow"] = ", ".join(_methods(request))
     return await _problem(request, problem)
 
 
-def _to_a_stream(request: Request) -> str:
-    """What a call is told that should have been a WebSocket; nothing for any other."""
+def _hint_of_stream(request: Request) -> str:
+    """Return the detail for a call that should have been a WebSocket; "" for any other call."""
     if not re.fullmatch(r"/v1/sessions/[^/]+/stream", request.url.path):
         return ""
     return "a stream is a WebSocket: connect with ws:// or wss://"
 
 
 def _methods(request: Request) -> list[str]:
-    """What the path knows: several routes share it, and the router names those of the first alone."""
+    """Return the methods of the path. Several routes share it, and the router lists the methods of the first alone."""
     path = request.url.path
     for template, calls in request.app.openapi()["paths"].items():
         if re.fullmatch(re.sub(r"\{\w+\}", "[^/]+", template), path):
@@ -64,5 +69,5 @@ def _methods(request: Request) -> list[str]:
 
 
 def _with_head(method: str) -> list[str]:
-    """Whoever may GET may ask for the head alone."""
+    """Return ``method``, and HEAD where it is GET."""
     return ["GET", "HEAD"] if method == "GET" else [method]

@@ -1,4 +1,4 @@
-"""One frame in a call of its own."""
+"""Frames over HTTP, one in each call."""
 
 from __future__ import annotations
 
@@ -11,24 +11,42 @@ from starlette.responses import Response
 
 from mfcmt_core.images import sniff
 
-from ..problems import ProblemError
-from ..schemas import fields
+from ..protocol.answers import Result
+from ..protocol.enums import ProblemCode
+from ..protocol.problems import ProblemError
+from ..protocol.values import MAX_SEQ, check_echo, check_region, check_seq
 from ..sessions.session import Frame, Session
-from . import bodies, contract
-from .answers import answer
-from .deps import Accepted, ServiceDep, SessionDep
+from . import contract
+from .deps import AnswerDep, ServiceDep, SessionDep
+from .uploads import read_upload, refuse_others
 
 router = APIRouter(tags=["frames"])
 REGION = r"^-?[0-9]{1,7}(,-?[0-9]{1,7}){3}$"
 
 
-@router.post("/sessions/{session_id}/frames", **contract.POST_FRAME)
+@router.post(
+    "/sessions/{session_id}/frames",
+    response_model=Result,
+    response_description="where the targets are",
+    responses=contract.problems(
+        *contract.ANY_CALL,
+        *contract.READS_FRAME,
+        *contract.NEGOTIATED,
+        *contract.ON_SESSION,
+        "attached-elsewhere",
+        "stale-frame",
+        "frame-size-changed",
+        "bad-region",
+        "over-credit",
+    ),
+    openapi_extra=contract.FRAME_BODY,
+)
 async def post_frame(
     request: Request,
     service: ServiceDep,
     session: SessionDep,
-    accepted: Accepted,
-    seq: Annotated[int | None, Query(ge=0, le=fields.MAX_SEQ, description="the frame's number")] = None,
+    answer: AnswerDep,
+    seq: Annotated[int | None, Query(ge=0, le=MAX_SEQ, description="the frame's number")] = None,
     ts: Annotated[str | None, Query(max_length=64, description="echoed, never interpreted")] = None,
     region: Annotated[str | None, Query(pattern=REGION, description="`x,y,w,h` in whole pixels")] = None,
 ) -> Response:
@@ -38,17 +56,17 @@ async def post_frame(
     try:
         service.rate_limiter.count_frame(session.owner)
         with session.in_use():
-            upload = await bodies.read_upload(request, service.settings, raw=True)
+            upload = await read_upload(request, service.settings, raw=True)
         service.rate_limiter.count_bytes(session.owner, len(upload.frame))
         service.metrics.http_frame(len(upload.frame))
-        told = {"ts": ts, "region": region and [int(v) for v in region.split(",")]} | upload.fields
-        number = fields.seq(told.pop("seq", seq))
-        echo, cut = fields.echo("ts", told.pop("ts")), fields.region(told.pop("region"))
+        sent = {"ts": ts, "region": region and [int(v) for v in region.split(",")]} | upload.fields
+        number = check_seq(sent.pop("seq", seq))
+        echo, cut = check_echo("ts", sent.pop("ts")), check_region(sent.pop("region"))
         frame = Frame(upload.frame, 0, echo, cut, arrived, time.monotonic())
-        bodies.nothing_more(told, "frame", "seq", "ts", "region")
+        refuse_others(sent, "frame", "seq", "ts", "region")
         _check_free(session, service.settings.credit_frames)
         if sniff(frame.data) is None:
-            raise ProblemError("unsupported-image", "not a JPEG, PNG or WebP image")
+            raise ProblemError(ProblemCode.UNSUPPORTED_IMAGE, "not a JPEG, PNG or WebP image")
     except ProblemError:
         session.number(number)  # a refused frame has its number too
         raise
@@ -59,11 +77,11 @@ async def post_frame(
     finally:
         session.http_waiting -= 1
     service.metrics.frame(stages, session.id, frame.seq, request.scope["state"].get("span"), live=True)
-    return answer(accepted, 200, result)
+    return answer(result)
 
 
 def _check_free(session: Session, most: int) -> None:
     if session.attachment is not None:
-        raise ProblemError("attached-elsewhere", "a stream is attached")
+        raise ProblemError(ProblemCode.ATTACHED_ELSEWHERE, "a stream is attached")
     if session.http_waiting >= most:
-        raise ProblemError("over-credit", f"at most {most} unanswered frames", retry_after_s=0.1)
+        raise ProblemError(ProblemCode.OVER_CREDIT, f"at most {most} unanswered frames", retry_after_s=0.1)

@@ -1,4 +1,4 @@
-"""For whoever watches: alive, ready, and the metrics."""
+"""Probes of health and readiness, and the metrics."""
 
 from __future__ import annotations
 
@@ -8,53 +8,80 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
-from ..problems import NO_LANE, ProblemError
+from ..protocol import examples
+from ..protocol.answers import Health, message
+from ..protocol.enums import HealthStatus, ProblemCode
+from ..protocol.problems import NO_LANE, ProblemError
 from ..service import Service
 from . import contract
-from .answers import MAX_ACCEPT_CHARACTERS, answer
-from .bodies import JSON
+from .answers import JSON, MAX_ACCEPT_CHARACTERS, encode
 from .deps import ServiceDep
 
 router = APIRouter(tags=["service"])
 
 
-@router.get("/livez", **contract.LIVEZ)
+@router.get(
+    "/livez",
+    response_model=Health,
+    response_description="the process answers",
+    responses=contract.problems(*contract.ANY_PATH),
+)
 async def livez(service: ServiceDep) -> Response:
-    """The process answers."""
-    return answer(JSON, 200, _health(service) | {"status": "ok"})
+    """Answer as long as the process lives."""
+    return encode(JSON, _health(service) | {"status": HealthStatus.OK})
 
 
-@router.get("/readyz", **contract.READYZ)
+@router.get(
+    "/readyz",
+    response_model=Health,
+    response_description="new sessions are welcome",
+    responses=contract.problems(*contract.ANY_PATH, "at-capacity", "draining"),
+)
 async def readyz(service: ServiceDep) -> Response:
-    """New sessions are welcome."""
+    """Answer with 200 while new sessions are welcome."""
     health = _health(service)
-    if health["status"] == "draining":
-        raise ProblemError("draining", "the service is going away", retry_after_s=1.0, **_lanes(health))
-    if health["status"] == "failing":
-        raise ProblemError("at-capacity", "lanes die again and again", retry_after_s=1.0, **_lanes(health))
-    if health["status"] == "starting":
-        raise ProblemError("at-capacity", NO_LANE, retry_after_s=1.0, **_lanes(health))
-    return answer(JSON, 200, health)
+    code, detail = _NOT_READY.get(health["status"], (None, ""))
+    if code is not None:
+        raise ProblemError(code, detail, retry_after_s=1.0, lanes_ready=health["lanes_ready"], lanes=health["lanes"])
+    return encode(JSON, health)
 
 
-@router.get("/metrics", **contract.METRICS)
+@router.get(
+    "/metrics",
+    responses={
+        200: {
+            "description": "the metrics",
+            "content": contract.contents(
+                "text/plain",
+                "application/openmetrics-text",
+                schema={"type": "string"},
+                example=examples.METRICS,
+            ),
+        },
+        **contract.problems(*contract.ANY_PATH, "unauthenticated"),
+    },
+    response_class=Response,
+)
 async def metrics(request: Request, service: ServiceDep) -> Response:
-    """Prometheus' text format."""
-    service.gate.check_admin(request.headers)
-    text, media_type = await service.exposition.text(request.headers.get("accept", "")[:MAX_ACCEPT_CHARACTERS])
+    """Give the metrics in Prometheus' text format."""
+    service.authenticator.check_admin(request.headers)
+    text, media_type = await service.exporter.text(request.headers.get("accept", "")[:MAX_ACCEPT_CHARACTERS])
     return Response(text, headers={"Content-Type": media_type})
+
+
+_NOT_READY = {
+    HealthStatus.DRAINING: (ProblemCode.DRAINING, "the service is shutting down"),
+    HealthStatus.FAILING: (ProblemCode.AT_CAPACITY, "lanes die again and again"),
+    HealthStatus.STARTING: (ProblemCode.AT_CAPACITY, NO_LANE),
+}
 
 
 def _health(service: Service) -> dict[str, Any]:
     lanes = service.lanes.status()
     ready = sum(status.ready for status in lanes)
-    status = "ok"
-    if not ready:
-        status = "failing" if any(lane.failing for lane in lanes) else "starting"
+    status = HealthStatus.OK
     if service.registry.draining:
-        status = "draining"
-    return {"status": status, "lanes_ready": ready, "lanes": len(lanes)}
-
-
-def _lanes(health: dict[str, Any]) -> dict[str, int]:
-    return {"lanes_ready": health["lanes_ready"], "lanes": health["lanes"]}
+        status = HealthStatus.DRAINING
+    elif not ready:
+        status = HealthStatus.FAILING if any(lane.failing for lane in lanes) else HealthStatus.STARTING
+    return message(Health, status=status, lanes_ready=ready, lanes=len(lanes))

@@ -1,4 +1,4 @@
-"""Around every call: a request id, the browser's origin, one log line, the time it took."""
+"""The middleware of every call and handshake: request ids, authentication, CORS, HEAD, metrics and one log line."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from .. import turns
-from ..connections import CROWDED, SHARE
+from ..connections import OVER_CONNECTION_LIMIT, SHARE
 from ..observability.sampled import Sampled
-from ..problems import CATALOGUE, ProblemError
+from ..protocol.enums import ProblemCode
+from ..protocol.problems import CATALOGUE, ProblemError
 from ..service import Service
 from ..sessions.byte_budget import Reservation
 from .answers import problem_response
 from .bodies import HELD
 
 SANE_ID = re.compile(r"[A-Za-z0-9._:/+=-]{1,128}")
-# Calls that come all the time are logged at debug; frames only if they are tracked.
+# Frequent calls are logged at debug level, unless they are refused.
 PROBES = {"/livez", "/readyz", "/metrics", "/static/{path:path}"}
 FRAMES = "/v1/sessions/{session_id}/frames"
 STREAM = "/v1/sessions/{session_id}/stream"
@@ -33,21 +34,21 @@ SAFE_HEADERS = (
 )
 EXPOSED = "Location, Retry-After, X-Request-ID"
 
-# In the state of a scope: who asks.
+# The key in the state of a scope under which the caller's identity is.
 IDENTITY = "identity"
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.http")
 refusals = Sampled(log)
 
 
-class Surroundings:
-    """Pure ASGI, so that a stream of frames is not touched by it."""
+class RequestMiddleware:
+    """Surrounds every call and handshake; the messages of an accepted stream pass untouched."""
 
     def __init__(self, app: ASGIApp, service: Service) -> None:
         self._app, self._service = app, service
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve one connection's scope."""
+        """Serve one call or handshake."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -76,11 +77,11 @@ class Surroundings:
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]
-                told = MutableHeaders(raw=message.setdefault("headers", []))
-                told["X-Request-ID"] = request_id
+                answered = MutableHeaders(raw=message.setdefault("headers", []))
+                answered["X-Request-ID"] = request_id
                 for name, value in SAFE_HEADERS:
-                    told.setdefault(name, value)
-                self._cors(headers, told)
+                    answered.setdefault(name, value)
+                self._add_cors(headers, answered)
             elif head_only:
                 message = {**message, "body": b""}
             await send(message)
@@ -88,9 +89,9 @@ class Surroundings:
         await turns.give_way()
         held = scope["state"][HELD] = Reservation(self._service.byte_budget)
         try:
-            self._service.gate.check_browser(headers)
-            if scope["state"].get(CROWDED) and scope["path"] not in PROBES:
-                raise _crowded()
+            self._service.authenticator.check_browser(headers)
+            if scope["state"].get(OVER_CONNECTION_LIMIT) and scope["path"] not in PROBES:
+                raise _too_many_connections()
             self._admit(scope, headers)
             if scope["method"] == "OPTIONS" and "access-control-request-method" in headers:
                 await _preflight(headers)(asked, receive, answer)
@@ -98,12 +99,12 @@ class Surroundings:
                 await self._app(asked, receive, answer)
         except ProblemError as refused:
             scope["state"]["problem"] = refused
-            await self._service.late(scope)
+            await self._service.delay_refusal(scope)
             await problem_response(refused, request_id)(asked, receive, answer)
         except Exception:
-            log.exception("fault in a call")
+            log.exception("internal error")
             if status == 0:
-                problem = ProblemError("internal", CATALOGUE["internal"].example)
+                problem = ProblemError(ProblemCode.INTERNAL, CATALOGUE[ProblemCode.INTERNAL].example)
                 scope["state"]["problem"] = problem
                 await problem_response(problem, request_id)(asked, receive, answer)
         finally:
@@ -111,25 +112,25 @@ class Surroundings:
             self._record(asked, scope["method"], status, time.monotonic() - began)
 
     def _admit(self, scope: Scope, headers: Headers) -> None:
-        """Find out who asks before anything else is done for them. Raises unauthenticated, rate-limited."""
+        """Authenticate the caller before anything else is done. Raises unauthenticated, rate-limited."""
         if scope["method"] == "OPTIONS" or not scope["path"].startswith("/v1/"):
             return
         state = scope["state"]
-        identity = state[IDENTITY] = self._service.gate.identify(headers)
+        identity = state[IDENTITY] = self._service.authenticator.identify(headers)
         self._service.rate_limiter.count_call(identity.owner)
         for share in (state[HELD], state.get(SHARE)):
             if share is not None:
                 share.assign(identity.owner)
 
-    def _cors(self, asked: Headers, told: MutableHeaders) -> None:
-        if (origin := asked.get("origin")) is not None:
-            told.add_vary_header("Origin")
-            if self._service.gate.allows(origin.lower(), asked.get("host", "").lower()):
-                told["Access-Control-Allow-Origin"] = origin
-                told["Access-Control-Expose-Headers"] = EXPOSED
+    def _add_cors(self, headers: Headers, answered: MutableHeaders) -> None:
+        if (origin := headers.get("origin")) is not None:
+            answered.add_vary_header("Origin")
+            if self._service.authenticator.allows(origin.lower(), headers.get("host", "").lower()):
+                answered["Access-Control-Allow-Origin"] = origin
+                answered["Access-Control-Expose-Headers"] = EXPOSED
 
     def _record(self, scope: Scope, method: str, status: int, took_s: float) -> None:
-        # The template, not the path: a session's id is neither a label nor a line of every call.
+        # The route's template, not the path: a session's id must not become a label.
         path = getattr(scope.get("route"), "path", "other")
         if scope["path"].startswith("/v1/") and path != "other":
             path = "/v1" + path.removeprefix("/v1")
@@ -166,8 +167,8 @@ class Surroundings:
         return answer
 
 
-def _crowded() -> ProblemError:
-    problem = ProblemError("at-capacity", "too many connections", retry_after_s=1.0)
+def _too_many_connections() -> ProblemError:
+    problem = ProblemError(ProblemCode.AT_CAPACITY, "too many connections", retry_after_s=1.0)
     problem.headers["Connection"] = "close"
     return problem
 

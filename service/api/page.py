@@ -1,4 +1,4 @@
-"""Both contracts as one page of plain HTML: no script, nothing from elsewhere."""
+"""Both contracts as one page of plain HTML, without scripts and without files of other hosts."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from html import escape
 from typing import Any
 
-from ..problems import CATALOGUE
-from ..schemas import examples
+from ..protocol import examples
+from ..protocol.problems import CATALOGUE
 from .asyncapi import close_codes
 
 STYLE = """
@@ -24,7 +24,7 @@ td,th,h2{border-color:#30363d}:target{background:#3b2e00}}
 
 
 def render(openapi: dict[str, Any], asyncapi: dict[str, Any]) -> str:
-    """The page."""
+    """Return the page."""
     body = "".join(
         (
             *_head(openapi),
@@ -66,10 +66,10 @@ def _calls(openapi: dict[str, Any]) -> Iterator[str]:
                 yield "</table>"
             if body := call.get("requestBody"):
                 yield from _contents("body", body["content"])
-            for status, told in call["responses"].items():
-                yield f"<p><b>{status}</b> {_text(told['description'])}</p>"
+            for status, answer in call["responses"].items():
+                yield f"<p><b>{status}</b> {_text(answer['description'])}</p>"
                 if not status.startswith(("4", "5")):
-                    yield from _contents("answer", told.get("content", {}))
+                    yield from _contents("answer", answer.get("content", {}))
 
 
 def _contents(what: str, contents: dict[str, Any]) -> Iterator[str]:
@@ -118,6 +118,6 @@ def _pre(value: Any) -> str:
 
 
 def _text(text: str) -> str:
-    """Escaped, with `code` as code."""
+    """Return ``text`` escaped, with `code` as code."""
     pieces = escape(text).split("`")
     return "".join(f"<code>{piece}</code>" if odd % 2 else piece for odd, piece in enumerate(pieces))

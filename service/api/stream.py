@@ -9,7 +9,7 @@ import structlog
 from starlette.datastructures import Headers
 from starlette.types import Receive, Scope, Send
 
-from ..connections import ABORT_EXTENSION, CROWDED, LEAVE_EXTENSION, SHARE
+from ..connections import ABORT_EXTENSION, LEAVE_EXTENSION, OVER_CONNECTION_LIMIT, SHARE
 from ..keys import Identity
 from ..observability.sampled import Sampled
 from ..protocol.answers import Error, Ready, message
@@ -78,14 +78,14 @@ class StreamEndpoint:
     def _admit(self, scope: Scope, headers: Headers) -> tuple[Session, Mode, Identity]:
         """Return the session that the client may attach to, the mode, and who it is. Raises ProblemError."""
         service = self._service
-        service.gate.check_browser(headers)
-        if scope["state"].get(CROWDED):
+        service.authenticator.check_browser(headers)
+        if scope["state"].get(OVER_CONNECTION_LIMIT):
             raise ProblemError(ProblemCode.AT_CAPACITY, "too many connections", retry_after_s=1.0)
         sid = scope["path_params"].get("session_id")
         if sid is None:
             detail = "no WebSocket is here; a stream is at /v1/sessions/{session_id}/stream"
             raise ProblemError(ProblemCode.NOT_FOUND, detail)
-        identity = service.gate.redeem(scope["subprotocols"], sid) or service.gate.identify(headers)
+        identity = service.authenticator.redeem(scope["subprotocols"], sid) or service.authenticator.identify(headers)
         scope["state"]["identity"] = identity
         service.rate_limiter.count_call(identity.owner)
         if service.registry.draining:
@@ -140,7 +140,7 @@ class StreamEndpoint:
     ) -> None:
         self._service.metrics.problems.labels(code=problem.code).inc()
         refusals.info("stream refused", code=problem.code)
-        await self._service.late(scope)
+        await self._service.delay_refusal(scope)
         if "origin" not in headers and "websocket.http.response" in scope["extensions"]:
             response = problem_response(problem, scope["state"]["request_id"])
             await send(

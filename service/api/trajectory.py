@@ -1,10 +1,10 @@
-"""The past of a session, streamed in four formats."""
+"""Trajectories: the past results of a session, streamed in four formats."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Iterator
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import msgpack
 from fastapi import APIRouter, Query
@@ -13,59 +13,76 @@ from starlette.responses import Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from .. import turns
-from ..problems import ProblemError
-from ..schemas import fields
-from ..schemas.packed import to_json
+from ..protocol.answers import PastResult, Trajectory, message
+from ..protocol.documents import to_json
+from ..protocol.enums import ProblemCode, Status, TrajectoryFormat
+from ..protocol.examples import TRAJECTORY_TEXT
+from ..protocol.problems import ProblemError
+from ..protocol.target import rows_to_maps
+from ..protocol.values import MAX_SEQ
 from ..service import Service
-from ..sessions import wiring
 from ..sessions.session import Session
 from ..sessions.trajectory import Entry, unpacked
 from . import contract
-from .answers import chosen_type
-from .bodies import JSON, MSGPACK
+from .answers import JSON, MSGPACK, preferred
 from .deps import ServiceDep, SessionDep
 
 router = APIRouter(tags=["trajectory"])
-Format = Literal["json", "csv", "otb", "mot"]
 Packed = list[tuple[int, bytes]]
-# What is put together between two turns of the event loop, well under a millisecond: targets, and a frame as one more.
+# Targets, and one more for each frame, that are encoded between two turns of the event loop: well under a millisecond.
 ROWS_AT_ONCE = 24
 CSV_HEAD = "seq,ts,target,x,y,w,h,status,reliable,scale\n"
-CONFIDENCE = {"tracking": "1", "uncertain": "0.5", "lost": "0"}
+CONFIDENCE = {Status.TRACKING: "1", Status.UNCERTAIN: "0.5", Status.LOST: "0"}
 
 
-@router.get("/sessions/{session_id}/trajectory", **contract.TRAJECTORY)
+@router.get(
+    "/sessions/{session_id}/trajectory",
+    response_model=Trajectory,
+    response_description="tracked frames by rising `seq`, streamed",
+    responses={
+        200: {
+            "content": {
+                "text/csv": {"schema": {"type": "string"}, "example": TRAJECTORY_TEXT["csv"]},
+                "text/plain": {
+                    "schema": {"type": "string"},
+                    "examples": {name: {"value": TRAJECTORY_TEXT[name]} for name in ("otb", "mot")},
+                },
+            }
+        },
+        **contract.problems(*contract.ANY_CALL, *contract.NEGOTIATED, *contract.ON_SESSION, "bad-request"),
+    },
+)
 async def get_trajectory(
     request: Request,
     session: SessionDep,
     service: ServiceDep,
-    format: Annotated[Format, Query(description="`otb` needs `target`")] = "json",
-    after: Annotated[int, Query(ge=-1, le=fields.MAX_SEQ, description="frames above this number")] = -1,
-    target: Annotated[int | None, Query(ge=0, le=fields.MAX_SEQ, description="one target alone")] = None,
+    format: Annotated[TrajectoryFormat, Query(description="`otb` needs `target`")] = TrajectoryFormat.JSON,
+    after: Annotated[int, Query(ge=-1, le=MAX_SEQ, description="frames above this number")] = -1,
+    target: Annotated[int | None, Query(ge=0, le=MAX_SEQ, description="one target alone")] = None,
 ) -> Response:
-    """Every tracked frame, the creating one too. OTB and MOT count from 1."""
-    if format == "otb" and target is None:
-        raise ProblemError("bad-request", "otb needs target")
+    """Get every tracked frame, the first one included. OTB and MOT count from 1."""
+    if format is TrajectoryFormat.OTB and target is None:
+        raise ProblemError(ProblemCode.BAD_REQUEST, "otb needs target")
     kind = _media_type(request, format)
     packed = session.trajectory.after(after)
-    if format == "json":
+    if format is TrajectoryFormat.JSON:
         whole = _msgpack if kind == MSGPACK else _json
         return _InParts(service, session.owner, whole(session, packed, target), kind)
     return _InParts(service, session.owner, _LINES[format](unpacked(packed), target), kind)
 
 
-def _media_type(request: Request, format: Format) -> str:
-    """The media type of the answer. Raises not-acceptable."""
-    if format == "json":
-        return chosen_type(request, JSON, MSGPACK)
-    kind = "text/csv" if format == "csv" else "text/plain"
-    # Clients that ask for JSON in every call mean the format that they name here.
-    chosen_type(request, kind, JSON, MSGPACK)
+def _media_type(request: Request, format: TrajectoryFormat) -> str:
+    """Return the media type of the answer. Raises not-acceptable."""
+    if format is TrajectoryFormat.JSON:
+        return preferred(request, JSON, MSGPACK)
+    kind = "text/csv" if format is TrajectoryFormat.CSV else "text/plain"
+    # A client that asks for JSON in every call still gets the format that it names here.
+    preferred(request, kind, JSON, MSGPACK)
     return kind
 
 
 class _InParts(StreamingResponse):
-    """An answer in parts that the event loop's other work comes between; a few at once of a key."""
+    """An answer in parts, between which the event loop does other work; each key has a few of them at once."""
 
     def __init__(self, service: Service, owner: str, parts: Iterator[bytes], media_type: str) -> None:
         super().__init__(_parts(parts), media_type=media_type)
@@ -86,7 +103,7 @@ async def _parts(parts: Iterator[bytes]) -> AsyncIterator[bytes]:
 
 
 def _some(entries: Iterator[Entry]) -> Iterator[list[Entry]]:
-    """The entries in lists that are small by their targets."""
+    """Yield the entries in lists with few targets each."""
     some: list[Entry] = []
     rows = 0
     for entry in entries:
@@ -117,13 +134,14 @@ def _msgpack(session: Session, packed: Packed, target: int | None) -> Iterator[b
 
 
 def _frame(entry: Entry, target: int | None) -> dict[str, Any]:
-    return {
-        "seq": entry.seq,
-        "ts": entry.ts,
-        "size": entry.size,
-        "region": entry.region,
-        "targets": wiring.targets(_rows(entry, target)),
-    }
+    return message(
+        PastResult,
+        seq=entry.seq,
+        ts=entry.ts,
+        size=entry.size,
+        region=entry.region,
+        targets=rows_to_maps(_rows(entry, target)),
+    )
 
 
 def _rows(entry: Entry, target: int | None) -> list[list[Any]]:
@@ -138,8 +156,8 @@ def _csv(entries: Iterator[Entry], target: int | None) -> Iterator[bytes]:
 
 def _csv_line(entry: Entry, row: list[Any]) -> str:
     tid, (x, y, w, h), status, reliable, *_, scale = row
-    told = "" if reliable is None else str(reliable).lower()
-    return f"{entry.seq},{_quoted(entry.ts)},{tid},{x!r},{y!r},{w!r},{h!r},{status},{told},{scale!r}\n"
+    verdict = "" if reliable is None else str(reliable).lower()
+    return f"{entry.seq},{_quoted(entry.ts)},{tid},{x!r},{y!r},{w!r},{h!r},{status},{verdict},{scale!r}\n"
 
 
 def _otb(entries: Iterator[Entry], target: int | None) -> Iterator[bytes]:
@@ -159,14 +177,14 @@ def _mot_line(entry: Entry, row: list[Any]) -> str:
     return f"{entry.seq + 1},{tid + 1},{box},{CONFIDENCE[status]},-1,-1,-1\n"
 
 
-_LINES = {"csv": _csv, "otb": _otb, "mot": _mot}
+_LINES = {TrajectoryFormat.CSV: _csv, TrajectoryFormat.OTB: _otb, TrajectoryFormat.MOT: _mot}
 
 
 def _quoted(ts: float | str | None) -> str:
     if ts is None:
         return ""
     text = str(ts)
-    # A cell that a spreadsheet would run as a formula, or that would break the line, is quoted.
+    # Quotes keep a spreadsheet from running the cell as a formula, and the cell from breaking the line.
     if text[:1] in "=+-@" and isinstance(ts, str):
         text = "'" + text
     return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\r\n') else text

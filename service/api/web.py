@@ -1,4 +1,4 @@
-"""The page at ``/`` and the files that it is made of, read once; nothing else of the disk is reachable."""
+"""The page at ``/`` and its files. They are read once, so that no other file can be reached."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ KINDS = {
     ".webm": "video/webm",
     ".webmanifest": "application/manifest+json",
 }
-"""By the suffix; files of any other kind are not served."""
+"""Media types by suffix; files with other suffixes are not served."""
 PAGE_HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
@@ -41,7 +41,7 @@ PAGE_HEADERS = {
 
 @dataclass(frozen=True, slots=True)
 class Asset:
-    """One file, as it is answered."""
+    """One file as it is sent."""
 
     body: bytes
     kind: str
@@ -49,12 +49,12 @@ class Asset:
 
     @classmethod
     def of(cls, body: bytes, suffix: str) -> Asset:
-        """A file of ``body``; ``suffix`` is one of :data:`KINDS`."""
+        """Return the file with the content ``body``; ``suffix`` is one of :data:`KINDS`."""
         return cls(body, KINDS[suffix], f'"{hashlib.sha256(body).hexdigest()[:32]}"')
 
 
 def load() -> dict[str, Asset]:
-    """All files of page and client by their path below ``/static/``."""
+    """Return all files of the page and the JavaScript client, by their path below ``/static/``."""
     web = files("service").joinpath("web")
     assets: dict[str, Asset] = {}
     for folder in FOLDERS:
@@ -64,13 +64,13 @@ def load() -> dict[str, Asset]:
 
 @router.get("/")
 async def page(request: Request) -> Response:
-    """The web page."""
+    """Return the web page."""
     return _answer(request, "page/index.html", PAGE_HEADERS)
 
 
 @router.get("/static/{path:path}")
 async def static(request: Request, path: str) -> Response:
-    """A file of the page or of the JavaScript client."""
+    """Return a file of the page or of the JavaScript client."""
     return _answer(request, path, {})
 
 
@@ -90,7 +90,7 @@ def _answer(request: Request, path: str, extra: dict[str, str]) -> Response:
     asset: Asset | None = request.app.state.assets.get(path)
     if asset is None:
         raise HTTPException(404)
-    # Asked for each time and mostly not sent again: a new version is there with the next reload.
+    # Browsers ask each time and mostly get 304, so that the next reload shows a new version.
     headers = {"ETag": asset.etag, "Cache-Control": "no-cache", "Content-Type": asset.kind} | extra
     if asset.etag in request.headers.get("if-none-match", ""):
         return Response(status_code=304, headers=headers)

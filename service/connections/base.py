@@ -1,4 +1,4 @@
-"""What both kinds of connections need: names in a scope, and a timer."""
+"""Names in a scope, and a timer, for both kinds of connections."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import asyncio
 from collections.abc import Callable
 
 ABORT_EXTENSION = "mfcmt.abort"
-# Sends what has been written, reads no more, and closes.
+# A function that sends what was written, reads no more, and closes.
 LEAVE_EXTENSION = "mfcmt.leave"
-# In the state of a scope: there are more connections than there should be.
-CROWDED = "mfcmt.crowded"
-# In the state of a scope: what the connection holds of the room.
+# In the state of a scope: whether there are more than max_connections.
+OVER_CONNECTION_LIMIT = "mfcmt.over_connection_limit"
+# In the state of a scope: the connection's share of the byte budget.
 SHARE = "mfcmt.share"
-# Above this many times max_connections not even a refusal is written.
+# Above this many times max_connections, connections are cut without an answer.
 CUT_ABOVE = 2
 
 
 class Timer:
-    """One thing to do later, unless it is stopped before."""
+    """A function that is called later, unless the timer is stopped before."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
@@ -25,16 +25,16 @@ class Timer:
 
     @property
     def runs(self) -> bool:
-        """Whether it waits."""
+        """Whether the timer waits."""
         return self._handle is not None
 
     def start(self, seconds: float, do: Callable[[], object]) -> None:
-        """Do it after ``seconds``."""
+        """Call ``do`` after ``seconds``, in place of what was planned before."""
         self.stop()
         self._handle = self._loop.call_later(seconds, do)
 
     def stop(self) -> None:
-        """Do nothing."""
+        """Cancel the call."""
         if self._handle is not None:
             self._handle.cancel()
             self._handle = None

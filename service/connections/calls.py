@@ -13,10 +13,10 @@ from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
 from .. import turns
 from ..observability.sampled import Sampled
-from ..problems import CATALOGUE, MEDIA_TYPE, ProblemError
+from ..protocol.problems import CATALOGUE, MEDIA_TYPE, ProblemError
 from ..sessions.byte_budget import ANONYMOUS, ByteBudget, Reservation
 from ..settings import Settings
-from .base import CROWDED, CUT_ABOVE, SHARE, Timer
+from .base import CUT_ABOVE, OVER_CONNECTION_LIMIT, SHARE, Timer
 
 # What the parser is given at a time where it could hold many pieces: two hundred chunks or fifty calls.
 SLICE_BYTES = 1024
@@ -102,7 +102,7 @@ class CallProtocol(HttpToolsProtocol):
         self._expect_head()
         self._share.assign(ANONYMOUS)
         self.scope["state"][SHARE] = self._share
-        self.scope["state"][CROWDED] = len(self.connections) > self.settings.max_connections
+        self.scope["state"][OVER_CONNECTION_LIMIT] = len(self.connections) > self.settings.max_connections
 
     def on_url(self, url: bytes) -> None:
         """A piece of the request line."""

@@ -18,7 +18,7 @@ from ..observability.sampled import Sampled
 from ..sessions.byte_budget import ByteBudget, Reservation
 from ..sessions.rate_limiter import TokenBucket
 from ..settings import Settings
-from .base import ABORT_EXTENSION, CROWDED, LEAVE_EXTENSION, SHARE
+from .base import ABORT_EXTENSION, LEAVE_EXTENSION, OVER_CONNECTION_LIMIT, SHARE
 
 ABORT_AFTER_S = 5.0
 # Frames of one connection that are parsed between two turns of the event loop, about 20 µs each.
@@ -156,7 +156,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         extensions[ABORT_EXTENSION] = self.transport.abort
         extensions[LEAVE_EXTENSION] = self._leave
         self.scope["state"][SHARE] = self._share
-        self.scope["state"][CROWDED] = len(self.connections) > self.settings.max_connections
+        self.scope["state"][OVER_CONNECTION_LIMIT] = len(self.connections) > self.settings.max_connections
         try:
             await super().run_asgi()
         finally:

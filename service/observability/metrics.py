@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
-from ..problems import CATALOGUE
+from ..protocol.problems import CATALOGUE
 from ..sessions.byte_budget import ByteBudget
 from .lag import Lag
 from .stages import Stages
@@ -103,12 +103,12 @@ class Metrics:
         self._by_stream = self.frames_received.labels(via="stream")
         self._by_http = self.frames_received.labels(via="http")
 
-    def watch_room(self, room: ByteBudget) -> None:
-        """Tell what is held of ``room``."""
+    def watch_byte_budget(self, budget: ByteBudget) -> None:
+        """Export how much of ``budget`` is in use."""
         held = Gauge("mfcmt_under_way_bytes", "Bodies, messages and answers under way", registry=self.registry)
-        held.set_function(lambda: room.held)
+        held.set_function(lambda: budget.held)
         limit = Gauge("mfcmt_under_way_bytes_limit", "Most that may be under way at once", registry=self.registry)
-        limit.set(room.limit)
+        limit.set(budget.limit)
 
     def stream_frame(self, size: int) -> None:
         """A frame message has come."""

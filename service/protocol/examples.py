@@ -147,6 +147,18 @@ def problem(code: ProblemCode | str) -> dict[str, Any]:
 
 ERROR = {"type": "error", "seq": 18, "problem": problem("frame-undecodable")}
 
+ANSWERS: dict[str, dict[str, Any]] = {
+    "Session": SESSION,
+    "SessionPage": PAGE,
+    "Result": RESULT,
+    "TargetAnswer": TARGET_ANSWER,
+    "TicketAnswer": TICKET,
+    "TrajectoryAnswer": TRAJECTORY,
+    "Capabilities": CAPABILITIES,
+    "Health": HEALTH,
+}
+BODIES: dict[str, dict[str, Any]] = {"BoxBody": {"box": BOX}, "TicketBody": {"ttl_s": 30}}
+
 STREAM: dict[str, list[dict[str, Any]]] = {
     "Meta": [META],
     "FrameMessage": [{"type": "frame", "frame": "(bin)", "seq": 17}],

@@ -7,7 +7,7 @@ import hashlib
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
-from ..problems import ProblemError
+from ..protocol.problems import ProblemError
 from .ttl_cache import TTLCache
 
 

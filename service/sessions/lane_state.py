@@ -12,7 +12,7 @@ import structlog
 from ..lanes.framing import decode_reply
 from ..lanes.interface import LaneLost, Lanes
 from ..observability.metrics import Metrics
-from ..problems import ProblemError
+from ..protocol.problems import ProblemError
 from ..settings import Settings
 from .replay_log import Operation, RecoveryBudget, ReplayLog
 

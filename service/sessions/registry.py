@@ -15,7 +15,7 @@ import structlog
 
 from ..lanes.interface import AtCapacity, KeysLost, LaneCrowded, Lanes
 from ..observability.metrics import Metrics
-from ..problems import NO_LANE, NO_PLACE, ProblemError, session_gone, session_not_found
+from ..protocol.problems import NO_LANE, NO_PLACE, ProblemError, session_gone, session_not_found
 from ..settings import Settings
 from .idempotency import IdempotentCreations
 from .quotas import KeyQuotas

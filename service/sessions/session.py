@@ -15,8 +15,8 @@ import structlog
 from ..keys import Identity
 from ..lanes.interface import LaneLost
 from ..observability.stages import Stages
-from ..problems import ProblemError, session_gone
-from ..schemas.fields import MAX_SEQ
+from ..protocol.problems import ProblemError, session_gone
+from ..protocol.values import MAX_SEQ
 from . import wiring
 from .lane_state import LaneState, Poisoned
 from .rate_limiter import TokenBucket

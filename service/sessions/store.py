@@ -12,7 +12,7 @@ import structlog
 
 from ..lanes.interface import Lanes
 from ..observability.metrics import Metrics
-from ..problems import ProblemError
+from ..protocol.problems import ProblemError
 from ..settings import Settings
 from .lane_state import LaneState, RestoreSlots
 from .replay_log import RecoveryBudget

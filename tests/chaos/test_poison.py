@@ -14,7 +14,7 @@ from service.client import AsyncClient, AsyncSession, Problem
 from service.load.clips import Clip
 from service.load.own import OwnServer
 from service.load.usage import server_processes
-from service.problems import NO_LANE
+from service.protocol.problems import NO_LANE
 from tests.service.live.test_main_job import assert_same, in_process
 from tests.service.wire.conftest import Wire
 

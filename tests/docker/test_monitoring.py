@@ -159,7 +159,7 @@ def test_every_name_is_one_that_the_service_tells(watched: Watched) -> None:
 
 
 def test_codes_and_reasons_that_alerts_look_for_exist() -> None:
-    from service.problems import CATALOGUE
+    from service.protocol.problems import CATALOGUE
 
     for rule in alerts():
         for values in re.findall(r'(?:code|reason)=~?"([^"]+)"', rule["expr"]):

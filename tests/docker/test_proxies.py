@@ -23,7 +23,7 @@ import pytest
 from service.client import AsyncClient, Client
 from service.load.clips import Clip, open_clip, sample
 from service.load.own import OwnServer, free_port
-from service.problems import CATALOGUE, MEDIA_TYPE
+from service.protocol.problems import CATALOGUE, MEDIA_TYPE
 from tests.conftest import OTB_ROOT, ROOT, require
 
 HOST = "localhost"

@@ -45,7 +45,7 @@ def _told(value: object) -> str:
 def metrics_text() -> str:
     """What a service that has just been made tells."""
     app = create_app(_Plain())
-    return asyncio.run(app.state.service.exposition.text(""))[0].decode()
+    return asyncio.run(app.state.service.exporter.text(""))[0].decode()
 
 
 class _Plain(Settings):

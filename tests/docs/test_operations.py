@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from service.problems import CATALOGUE
+from service.protocol.problems import CATALOGUE
 from service.settings import Settings
 from tests.conftest import ROOT
 

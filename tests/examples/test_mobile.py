@@ -7,21 +7,24 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable
+from dataclasses import MISSING, fields
 from pathlib import Path
 from types import NoneType
-from typing import get_args
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
-from pydantic import BaseModel
 
 from service.api.asyncapi import close_codes
-from service.api.capabilities import SUBPROTOCOLS
 from service.app import create_app
 from service.auth import TICKET_PROTOCOL
 from service.load.clips import Clip
-from service.problems import CATALOGUE
-from service.schemas import messages, session
+from service.protocol import answers, requests
+from service.protocol.answers import field_names
+from service.protocol.codecs import CODECS
+from service.protocol.problems import CATALOGUE
+from service.protocol.schema import NAMES
+from service.protocol.target import Target
 from service.settings import Settings
 from tests.conftest import ROOT, require
 from tests.service.jsclient.test_browser import overlap
@@ -136,15 +139,17 @@ def test_swift_reads_what_the_server_says() -> None:
     types = {"id": r"Int|String", "box": r"\[Double\]", "region": r"\[Int\]", "targets": r"\[Target\]", "seq": "Int"}
     structures = re.findall(r"struct (\w+): Decodable \{\n(.*?)\n    \}", block("swift"), re.S)
     assert len(structures) == 9
+    classes = {schema: name for name, schema in NAMES.items()}
     for name, body in structures:
         if name == "Kind":
             continue
-        model: type[BaseModel] = getattr(messages, name, None) or getattr(session, name)
-        fields = re.findall(r"let (\w+): ([\w\[\]]+)(\?)?$", body, re.M)
-        assert len(fields) == len(body.splitlines())
-        for field, kind, optional in fields:
-            told = model.model_fields[field]
-            may_lack = not told.is_required() or NoneType in get_args(told.annotation)
+        model: Any = getattr(answers, classes.get(name, name), Target)
+        said = re.findall(r"let (\w+): ([\w\[\]]+)(\?)?$", body, re.M)
+        assert len(said) == len(body.splitlines())
+        hints = get_type_hints(model)
+        defaults = {one.name: one.default is not MISSING for one in fields(model)}
+        for field, kind, optional in said:
+            may_lack = defaults[field] or NoneType in get_args(hints[field])
             assert bool(optional) == may_lack, (name, field)
             assert re.fullmatch(types.get(field, r"\w+"), kind), (name, field, kind)
 
@@ -152,7 +157,7 @@ def test_swift_reads_what_the_server_says() -> None:
 @pytest.mark.parametrize("language", ["kotlin", "swift"])
 def test_says_what_the_server_reads(language: str) -> None:
     code = block(language)
-    meta, create = set(messages.Meta.model_fields), CREATE
+    meta, create = set(field_names(requests.Meta)) | {"type"}, CREATE
     if language == "swift":
         for literal in re.findall(r": \[String: Any\] = \[(.*?)\]\n", code):
             keys = set(re.findall(r'"(\w+)":', literal))
@@ -161,11 +166,12 @@ def test_says_what_the_server_reads(language: str) -> None:
     else:
         put = set(re.findall(r'\.put\("(\w+)"', code))
         assert put <= meta | create
-        heard = {field for model in [*messages.SERVER, session.Session, session.Target] for field in model.model_fields}
+        messages = [*answers.STREAM_MESSAGES, answers.SessionInfo, Target, answers.ProblemDocument]
+        heard = {"type"} | {field for model in messages for field in field_names(model)}
         read = set(re.findall(r'\.(?:get|opt|has)\w*\("(\w+)"\)', code))
-        assert read <= heard | set(session.Problem.model_fields)
+        assert read <= heard
     kinds = re.findall(r'case "(\w+)":' if language == "swift" else r'^ +"(\w+)" ->', code, re.M)
-    assert set(kinds) == {str(model.model_fields["type"].annotation.__args__[0]) for model in messages.SERVER}
+    assert set(kinds) == {model.TYPE for model in answers.STREAM_MESSAGES}
 
 
 @pytest.mark.parametrize("language", ["kotlin", "swift"])
@@ -180,7 +186,7 @@ def test_goes_where_the_server_listens(language: str) -> None:
     }
     assert "/v1/sessions" in there
     protocols = re.findall(r'"(mfcmt\.[^"\\$]*)', code)
-    assert set(protocols) == {SUBPROTOCOLS[0], TICKET_PROTOCOL}
+    assert set(protocols) == {next(iter(CODECS)), TICKET_PROTOCOL}
     assert set(re.findall(r'[?&](\w+)=|URLQueryItem\(name: "(\w+)"', code)) <= {
         ("mode", ""),
         ("resume", ""),

@@ -14,7 +14,7 @@ from service.app import create_app
 from service.observability.metrics import Metrics
 from service.observability.stages import Stages
 from service.observability.tracing import Tracing
-from service.problems import CATALOGUE
+from service.protocol.problems import CATALOGUE
 from service.settings import Settings
 
 FRAMES = 20_000
@@ -53,7 +53,7 @@ async def longest_turn_ms(rounds: int = 50) -> tuple[float, float]:
     try:
         for _ in range(rounds):
             turns.clear()
-            await service.exposition.text("")
+            await service.exporter.text("")
             longest.append(max(turns) * 1e3)
     finally:
         asyncio.events.Handle._run = handle  # type: ignore[method-assign]

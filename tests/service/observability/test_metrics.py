@@ -15,10 +15,10 @@ from prometheus_client.parser import text_string_to_metric_families
 from service.client import Client, Problem
 from service.load.clips import Clip
 from service.load.own import OwnServer
-from service.observability.exposition import Exposition
+from service.observability.exporter import PrometheusExporter
 from service.observability.metrics import Metrics
 from service.observability.stages import Stages
-from service.problems import CATALOGUE
+from service.protocol.problems import CATALOGUE
 from service.sessions.replay_log import RecoveryBudget
 
 STAGES = ("receive", "queue", "transit", "decode", "track")
@@ -106,7 +106,7 @@ async def test_telling_bit_by_bit_tells_the_same() -> None:
     for number in range(100):
         metrics.requests.labels(method="GET", path=f"/{number}", status=200).inc(number)
     metrics.frame(Stages(1e-4, 1e-4, 1e-3, 1e-3, 1e-3), "s", 1, None, live=True)
-    text, kind = await Exposition(metrics, lambda: 3, 8, NoLanes(), RecoveryBudget(1)).text("")  # type: ignore[arg-type]
+    text, kind = await PrometheusExporter(metrics, lambda: 3, 8, NoLanes(), RecoveryBudget(1)).text("")  # type: ignore[arg-type]
     assert kind.startswith("text/plain")
     began = re.compile(r"(# (HELP|TYPE) )?\w+_created[ {]")
     at_once = [line for line in generate_latest(metrics.registry).decode().splitlines() if not began.match(line)]
@@ -116,7 +116,7 @@ async def test_telling_bit_by_bit_tells_the_same() -> None:
 
 
 async def test_openmetrics_for_who_asks_for_it() -> None:
-    exposition = Exposition(Metrics(), lambda: 0, 8, NoLanes(), RecoveryBudget(1))  # type: ignore[arg-type]
+    exposition = PrometheusExporter(Metrics(), lambda: 0, 8, NoLanes(), RecoveryBudget(1))  # type: ignore[arg-type]
     text, kind = await exposition.text(OPENMETRICS)
     assert kind.startswith("application/openmetrics-text")
     families = {family.name for family in openmetrics_families(text.decode())}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from service.auth import Gate
-from service.problems import ProblemError
+from service.auth import Authenticator
+from service.protocol.problems import ProblemError
 from service.settings import Settings
 
 KEYS = "the-key-of-the-first-tenant"
@@ -13,10 +13,10 @@ KEYS = "the-key-of-the-first-tenant"
 
 def called(name: str | None, **settings: object) -> str | None:
     """The code with which a page of that very host is refused."""
-    gate = Gate(Settings(**settings), lambda: 0.0)  # type: ignore[arg-type]
+    authenticator = Authenticator(Settings(**settings), lambda: 0.0)  # type: ignore[arg-type]
     headers = {} if name is None else {"host": name, "origin": f"http://{name}"}
     try:
-        gate.check_browser(headers)
+        authenticator.check_browser(headers)
     except ProblemError as refused:
         return refused.code
     return None

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from service.auth import Gate
+from service.auth import Authenticator
 from service.keys import read_keys
-from service.problems import ProblemError
+from service.protocol.problems import ProblemError
 from service.settings import Settings
 
 KEYS = ["the-key-of-the-first-tenant", "the-key-of-the-second-one", "the-key-of-the-third-tenant"]
@@ -22,12 +22,12 @@ def file(tmp_path: Path) -> Path:
     return file
 
 
-def good(gate: Gate) -> list[str]:
-    """The keys that the gate lets in."""
+def good(authenticator: Authenticator) -> list[str]:
+    """The keys that the authenticator lets in."""
 
     def is_good(key: str) -> bool:
         try:
-            gate.identify({"x-api-key": key})
+            authenticator.identify({"x-api-key": key})
         except ProblemError:
             return False
         return True
@@ -47,23 +47,23 @@ write.count = 1  # type: ignore[attr-defined]
 
 
 def test_a_file_that_is_half_written_revokes_nobody(file: Path) -> None:
-    gate = Gate(Settings(api_keys_file=file), lambda: 0.0)
+    authenticator = Authenticator(Settings(api_keys_file=file), lambda: 0.0)
     whole = len("".join(f"{key}\n" for key in KEYS))
     for cut in (0, 20, len(KEYS[0]) + 1, len(KEYS[0]) + 20, whole - 1):
         write(file, KEYS, cut)
-        assert not gate.refresh()
-        assert good(gate) == KEYS
+        assert not authenticator.refresh()
+        assert good(authenticator) == KEYS
     write(file, KEYS[1:])
-    assert not gate.refresh()
-    assert gate.refresh()
-    assert good(gate) == KEYS[1:]
-    assert not gate.refresh()
+    assert not authenticator.refresh()
+    assert authenticator.refresh()
+    assert good(authenticator) == KEYS[1:]
+    assert not authenticator.refresh()
 
 
 def test_a_file_that_is_written_while_it_is_read_is_read_again(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    gate = Gate(Settings(api_keys_file=file), lambda: 0.0)
+    authenticator = Authenticator(Settings(api_keys_file=file), lambda: 0.0)
     write(file, KEYS[:2])
-    assert not gate.refresh()
+    assert not authenticator.refresh()
 
     def read_half(path: Path) -> dict[bytes, str]:
         write(file, KEYS[:1])
@@ -73,26 +73,26 @@ def test_a_file_that_is_written_while_it_is_read_is_read_again(file: Path, monke
 
     with monkeypatch.context() as patch:
         patch.setattr("service.auth.read_keys", read_half)
-        assert not gate.refresh()
-    assert good(gate) == KEYS
-    assert not gate.refresh()
-    assert gate.refresh()
-    assert good(gate) == KEYS[:2]
+        assert not authenticator.refresh()
+    assert good(authenticator) == KEYS
+    assert not authenticator.refresh()
+    assert authenticator.refresh()
+    assert good(authenticator) == KEYS[:2]
 
 
 def test_a_file_that_vanishes_or_is_emptied_changes_nothing(file: Path) -> None:
-    gate = Gate(Settings(api_keys_file=file), lambda: 0.0)
+    authenticator = Authenticator(Settings(api_keys_file=file), lambda: 0.0)
     write(file, [])
-    assert not gate.refresh()
-    assert not gate.refresh()
+    assert not authenticator.refresh()
+    assert not authenticator.refresh()
     file.unlink()
-    assert not gate.refresh()
-    assert not gate.refresh()
-    assert good(gate) == KEYS
+    assert not authenticator.refresh()
+    assert not authenticator.refresh()
+    assert good(authenticator) == KEYS
     write(file, KEYS[:1])
-    gate.refresh()
-    assert gate.refresh()
-    assert good(gate) == KEYS[:1]
+    authenticator.refresh()
+    assert authenticator.refresh()
+    assert good(authenticator) == KEYS[:1]
 
 
 def test_a_file_that_vanishes_before_it_is_read_lets_nobody_in(file: Path) -> None:
@@ -100,12 +100,12 @@ def test_a_file_that_vanishes_before_it_is_read_lets_nobody_in(file: Path) -> No
     settings = Settings(api_keys_file=file)
     content = file.read_text()
     file.unlink()
-    gate = Gate(settings, lambda: 0.0)
-    assert good(gate) == []
+    authenticator = Authenticator(settings, lambda: 0.0)
+    assert good(authenticator) == []
     file.write_text(content)
-    gate.refresh()
-    assert gate.refresh()
-    assert good(gate) == KEYS
+    authenticator.refresh()
+    assert authenticator.refresh()
+    assert good(authenticator) == KEYS
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
@@ -113,7 +113,7 @@ def test_a_file_that_vanishes_before_it_is_read_lets_nobody_in(file: Path) -> No
 def test_files_as_editors_save_them(tmp_path: Path, encoding: str, end: str) -> None:
     file = tmp_path / "keys"
     file.write_bytes(end.join(KEYS).encode(encoding))
-    assert good(Gate(Settings(api_keys_file=file), lambda: 0.0)) == KEYS
+    assert good(Authenticator(Settings(api_keys_file=file), lambda: 0.0)) == KEYS
 
 
 @pytest.mark.parametrize(
@@ -138,14 +138,14 @@ def test_what_cannot_be_read_is_said(tmp_path: Path, data: bytes, told: str) -> 
 
 def test_one_tenants_tickets_do_not_push_out_anothers() -> None:
     now = 0.0
-    gate = Gate(Settings(api_keys=",".join(KEYS), max_tickets=2), lambda: now)
-    mine, other = (gate.identify({"x-api-key": key}) for key in KEYS[:2])
-    ticket = gate.issue(other, "theirs", 30)
-    issued = [gate.issue(mine, "mine", 30) for _ in range(5)]
-    assert gate.redeem([f"mfcmt.ticket.{ticket}"], "theirs") == other
+    authenticator = Authenticator(Settings(api_keys=",".join(KEYS), max_tickets=2), lambda: now)
+    mine, other = (authenticator.identify({"x-api-key": key}) for key in KEYS[:2])
+    ticket = authenticator.issue(other, "theirs", 30)
+    issued = [authenticator.issue(mine, "mine", 30) for _ in range(5)]
+    assert authenticator.redeem([f"mfcmt.ticket.{ticket}"], "theirs") == other
     with pytest.raises(ProblemError, match="unauthenticated"):
-        gate.redeem([f"mfcmt.ticket.{issued[2]}"], "mine")
-    assert gate.redeem([f"mfcmt.ticket.{issued[4]}"], "mine") == mine
+        authenticator.redeem([f"mfcmt.ticket.{issued[2]}"], "mine")
+    assert authenticator.redeem([f"mfcmt.ticket.{issued[4]}"], "mine") == mine
     now = 31.0
-    gate.sweep()
-    assert len(gate._tickets) == 0
+    authenticator.sweep()
+    assert len(authenticator._tickets) == 0

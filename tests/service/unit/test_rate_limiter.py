@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from service.problems import ProblemError
+from service.protocol.problems import ProblemError
 from service.sessions.rate_limiter import RateLimiter, TokenBucket
 from service.settings import Settings
 

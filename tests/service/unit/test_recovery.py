@@ -18,7 +18,7 @@ from service.lanes.interface import AtCapacity, Buffers, LaneCrowded, LaneLost, 
 from service.lanes.pool import LanePool
 from service.lanes.process import LaneProcess
 from service.observability.metrics import Metrics
-from service.problems import ProblemError
+from service.protocol.problems import ProblemError
 from service.sessions.registry import SessionRegistry
 from service.sessions.replay_log import Operation, RecoveryBudget, ReplayLog
 from service.sessions.session import Frame, Session

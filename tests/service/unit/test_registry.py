@@ -13,7 +13,7 @@ import pytest
 from service.lanes.framing import decode_call, encode_reply
 from service.lanes.interface import AtCapacity, Buffers, KeysLost, LaneEvent, LaneLost, LaneStatus, LaneUsage, Place
 from service.observability.metrics import Metrics
-from service.problems import ProblemError
+from service.protocol.problems import ProblemError
 from service.sessions.quotas import KeyQuotas
 from service.sessions.registry import SessionRegistry
 from service.sessions.session import Frame, Options, Session

@@ -13,7 +13,7 @@ from structlog.testing import capture_logs
 from service import app as application
 from service.app import create_app
 from service.lanes.interface import LaneStatus
-from service.problems import NO_LANE
+from service.protocol.problems import NO_LANE
 from service.sessions.session import Options
 from service.settings import Settings
 
@@ -104,11 +104,11 @@ async def test_work_in_the_background_that_fails_is_logged_and_begins_anew(monke
     service: Any = app.state.service
     swept, refreshed = asyncio.Event(), asyncio.Event()
     monkeypatch.setattr(service.registry, "sweep", _fails_once(swept))
-    monkeypatch.setattr(service.gate.__class__, "refresh", _fails_once(refreshed))
+    monkeypatch.setattr(service.authenticator.__class__, "refresh", _fails_once(refreshed))
     with capture_logs() as lines:
         async with app.router.lifespan_context(app):
             await asyncio.wait_for(asyncio.gather(swept.wait(), refreshed.wait()), 30)
-    faults = [line for line in lines if line["event"] == "work in the background failed and begins anew"]
+    faults = [line for line in lines if line["event"] == "background task failed and is started again"]
     assert len(faults) == 2
     assert {line["log_level"] for line in faults} == {"error"}
 

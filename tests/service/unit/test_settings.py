@@ -12,8 +12,8 @@ from pydantic import ValidationError
 from mfcmt_core.cli import main
 from service import environment
 from service.app import local_lanes
-from service.auth import Gate
-from service.problems import ProblemError
+from service.auth import Authenticator
+from service.protocol.problems import ProblemError
 from service.settings import Settings
 
 SHOW = "import os; print(os.environ)"
@@ -105,10 +105,10 @@ def test_a_bad_setting_is_refused_by_its_name(
 )
 def test_apps_in_a_webview_can_be_allowed(origin: str) -> None:
     """They have origins of schemes of their own (Capacitor, Cordova, Tauri, Ionic)."""
-    gate = Gate(Settings(allowed_origins=f"https://app.example,{origin.upper()}"), lambda: 0.0)
-    gate.check_browser({"origin": origin, "host": "localhost:8000"})
+    authenticator = Authenticator(Settings(allowed_origins=f"https://app.example,{origin.upper()}"), lambda: 0.0)
+    authenticator.check_browser({"origin": origin, "host": "localhost:8000"})
     with pytest.raises(ProblemError, match="origin-refused"):
-        gate.check_browser({"origin": origin + "1", "host": "localhost:8000"})
+        authenticator.check_browser({"origin": origin + "1", "host": "localhost:8000"})
 
 
 def test_beyond_loopback_needs_keys_or_a_word(monkeypatch: pytest.MonkeyPatch) -> None:

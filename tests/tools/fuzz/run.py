@@ -25,7 +25,7 @@ from mfcmt_core import MFCMT
 from mfcmt_core.images import FrameError, FrameLimits
 from mfcmt_core.images.decode import decode
 from service.load.clips import Clip
-from service.problems import CATALOGUE, MEDIA_TYPE
+from service.protocol.problems import CATALOGUE, MEDIA_TYPE
 
 from .mutate import Mutator
 

@@ -1,4 +1,4 @@
-"""The metrics as Prometheus reads them, without holding up a frame."""
+"""The metrics in Prometheus' text formats, written without holding up a frame."""
 
 from __future__ import annotations
 
@@ -22,18 +22,20 @@ HEAD = re.compile(rb"\A(#[^\n]*\n)+")
 SAMPLES_AT_ONCE = 32
 
 
-class Kept(Protocol):
-    """Bytes that are kept to restore sessions."""
+class RecoveryBytes(Protocol):
+    """The bytes that are kept to restore sessions, and their limit."""
 
     limit: int
     checkpoints: int
     frames: int
 
 
-class Exposition:
-    """What the service counts, and what it and its processes are just now."""
+class PrometheusExporter:
+    """Writes the metrics of the service, with the present state of the service and its processes."""
 
-    def __init__(self, metrics: Metrics, sessions: Callable[[], int], capacity: int, lanes: Lanes, kept: Kept) -> None:
+    def __init__(
+        self, metrics: Metrics, sessions: Callable[[], int], capacity: int, lanes: Lanes, kept: RecoveryBytes
+    ) -> None:
         self._metrics, self._sessions, self._capacity, self._lanes = metrics, sessions, capacity, lanes
         self._kept = kept
         self._making: dict[str, asyncio.Future[tuple[bytes, str]]] = {}
@@ -42,7 +44,7 @@ class Exposition:
         PlatformCollector(registry=self._process)
 
     async def text(self, accept: str) -> tuple[bytes, str]:
-        """All metrics and their media type, made once for all who ask at the same time."""
+        """Return all metrics and their media type; calls at the same time share one result."""
         wanted = choose_encoder(accept)[1]
         making = self._making.get(wanted)
         if making is None:
@@ -51,16 +53,16 @@ class Exposition:
         return await asyncio.shield(making)
 
     async def _text(self, accept: str) -> tuple[bytes, str]:
-        """All metrics and their media type: OpenMetrics, with exemplars, for who accepts it.
+        """Return all metrics and their media type: OpenMetrics, with exemplars, if ``accept`` names it.
 
-        All of it at once would keep the event loop for a millisecond or two. So what asks the system does it
-        in a thread, and the loop has its turn after every few samples.
+        In one piece this would hold up the event loop for a millisecond or two. So the questions to the system are
+        asked in a thread, and the loop does other work after every few samples.
         """
         encode, media_type = choose_encoder(accept)
         process, usage = await asyncio.to_thread(lambda: (list(self._process.collect()), self._lanes.usage()))
         parts = []
         for family in chain(self._metrics.registry.collect(), self._now(usage), process):
-            # When a series began is of no use to Prometheus, and would be half of all lines.
+            # Prometheus does not use the times at which series began, and they would be half of all lines.
             samples = [sample for sample in family.samples if not sample.name.endswith("_created")]
             for at in range(0, len(samples), SAMPLES_AT_ONCE):
                 family.samples = samples[at : at + SAMPLES_AT_ONCE]
@@ -93,17 +95,19 @@ class Exposition:
         kept.add_metric(["frames"], self._kept.frames)
         yield kept
         yield GaugeMetricFamily("mfcmt_recovery_bytes_limit", "Most that is kept to restore sessions", self._kept.limit)
-        told = next((status.versions for status in statuses if status.versions), {})
+        versions = next((status.versions for status in statuses if status.versions), {})
         names = ["version", "opencv", "numpy"]
         build = GaugeMetricFamily("mfcmt_build_info", "Versions; always 1", labels=names)
-        build.add_metric([version("mfcmt"), told.get("opencv", ""), told.get("numpy", "")], 1)
+        build.add_metric([version("mfcmt"), versions.get("opencv", ""), versions.get("numpy", "")], 1)
         yield build
 
 
 class _One(Collector):
+    """A collector of one metric."""
+
     def __init__(self, family: Metric) -> None:
         self._family = family
 
     def collect(self) -> Iterable[Metric]:
-        """The family."""
+        """Return the metric."""
         return (self._family,)

@@ -1,1 +1,0 @@
-"""The protocol's shapes, once: what bodies and messages are checked with and both contracts are made of."""
