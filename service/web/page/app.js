@@ -1,4 +1,4 @@
-// The course of things: a source is opened, a box starts a run, results are shown, troubles are told.
+// The application: opens a source, starts a run when a box is drawn, shows results, reports trouble.
 
 import { fittedSize } from "/static/client/mfcmt.js";
 import { announce, byId } from "./dom.js";
@@ -15,7 +15,7 @@ import { View } from "./view.js";
 
 const FIGURES_MS = 250;
 
-/** States: `idle` (no source), `open` (a source, no run), `starting`, `tracking`, `ended` (the run broke off). */
+/** States: `idle` (no source), `open` (a source, no run), `starting`, `tracking`, `ended` (the run stopped by itself). */
 export class App {
   state = "idle";
   adding = false;
@@ -28,7 +28,7 @@ export class App {
   #base = 0;
   #sending = false;
 
-  /** `changed()` after whatever the controls show has changed; `askKey()` resolves to whether one was given. */
+  /** `changed()` is called when the controls must be redrawn; `askKey()` resolves to whether a key was entered. */
   constructor({ changed, askKey }) {
     this.changed = changed;
     this.trouble = new Trouble({ clock: () => this.clock(), askKey });
@@ -52,7 +52,7 @@ export class App {
     setInterval(() => this.tracking?.stream && this.view.figures(this.tracking.stream.stats, this.skipped), FIGURES_MS);
   }
 
-  /** The target that a new box corrects. */
+  /** The target that a new box will correct. */
   get chosen() {
     return this.view.chosen;
   }
@@ -61,7 +61,7 @@ export class App {
     return this.player.source;
   }
 
-  /** Open what `opening` (a function) gives; what fails can be tried again. */
+  /** Open the source that the function `opening` returns. A failure is shown with a button to try again. */
   async open(opening) {
     notice.hide();
     let source;
@@ -80,7 +80,7 @@ export class App {
     return true;
   }
 
-  /** Back to the choice of sources. */
+  /** Go back to the choice of sources. */
   close() {
     this.#leave();
     this.player.close();
@@ -88,7 +88,7 @@ export class App {
     this.#to("idle");
   }
 
-  /** A box was drawn, in fractions of the frame. */
+  /** Handle a box that was drawn, in fractions of the frame. */
   async box(box) {
     try {
       if (this.state === "tracking") await this.#place(box);
@@ -98,7 +98,7 @@ export class App {
     }
   }
 
-  /** A new run on the frame that is shown. */
+  /** Start a run on the frame that is shown. */
   begin(boxes) {
     this.history.clear();
     log.clear();
@@ -106,7 +106,7 @@ export class App {
     return this.#start(boxes, boxes.map(() => this.history.number()));
   }
 
-  /** A new session for the targets of now, where they are now. */
+  /** Start a new session for the present targets, from their present boxes. */
   async restart(play = true) {
     const targets = [...this.history.targets.values()];
     this.tracking?.stop();
@@ -118,7 +118,7 @@ export class App {
     await this.#start(targets.map(({ box }) => box), targets.map(({ id }) => id), play);
   }
 
-  /** End the run; the source stays. */
+  /** End the run and keep the source. */
   stop() {
     this.tracking?.stop();
     this.tracking = null;
@@ -156,7 +156,7 @@ export class App {
     this.#panels(true);
   }
 
-  /** The time shown, in words. */
+  /** The time of the picture, as text. */
   clock(time = this.#shownTime) {
     const seconds = Math.max(0, time ?? 0);
     return `${Math.floor(seconds / 60)}:${(seconds % 60).toFixed(1).padStart(4, "0")}`;
@@ -211,7 +211,7 @@ export class App {
     this.#panels(true);
   }
 
-  /** The player shows a frame that is to be tracked. */
+  /** Track the frame that the player shows. */
   async #deliver() {
     if (this.state === "starting") return;
     if (this.state !== "tracking") {
@@ -282,7 +282,7 @@ export class App {
     return this.#frames.grab(this.source.video, size, this.source.time);
   }
 
-  /** The picture as it is shown, kept. */
+  /** Record the picture as it is shown. */
   #shown() {
     const { picture } = this.stage;
     return this.#frames.grab(picture, [picture.width, picture.height], this.#shownTime);
@@ -306,7 +306,7 @@ export class App {
     this.#panels(true);
   }
 
-  /** It plays, or rests. */
+  /** The player started or stopped playing. */
   #moved() {
     const { playing } = this.player;
     if (this.state === "tracking" && !this.trouble.lost) connection(playing ? "Tracking" : "Paused", playing ? "good" : "idle");

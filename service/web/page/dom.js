@@ -1,8 +1,8 @@
-// The few words that every part of the page needs to speak to the document.
+// Small functions with which all parts of the page use the document.
 
 export const byId = (id) => document.getElementById(id);
 
-/** An element with properties (`data` and `class` as attributes are set) and children. */
+/** Make an element with properties (`data` and `class` are set as attributes) and children. */
 export function el(tag, { data = {}, ...properties } = {}, ...children) {
   const element = document.createElement(tag);
   Object.assign(element, properties);
@@ -20,19 +20,19 @@ export function icon(name) {
   return svg;
 }
 
-/** Words for those who listen instead of looking. */
+/** Announce a text to screen readers. */
 export function announce(text) {
   byId("announce").textContent = text;
 }
 
-/** Hand `blob` over as a file. */
+/** Download `blob` as a file. */
 export function download(blob, name) {
   const link = el("a", { href: URL.createObjectURL(blob), download: name });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 30_000);
 }
 
-/** A canvas whose pixels are the screen's; its context, scaled to CSS pixels, and its size in those. */
+/** Size a canvas to the pixels of the screen. Returns its context, scaled to CSS pixels, and its size in them. */
 export function crisp(canvas) {
   const ratio = globalThis.devicePixelRatio || 1;
   const { clientWidth: width, clientHeight: height } = canvas;
@@ -46,7 +46,7 @@ export function crisp(canvas) {
 const colours = new Map();
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => colours.clear());
 
-/** A colour of the style sheet as canvases understand it, of the scheme that is on. */
+/** A color of the style sheet in the form that canvases take, for the active color scheme. */
 export function colour(name) {
   if (!colours.has(name)) {
     const probe = el("span");

@@ -1,8 +1,8 @@
-// Boxes as a file, in pixels of the source: 0-based, top-left corner.
+// Export boxes as a file, in pixels of the source: 0-based, from the top-left corner.
 
 const COLUMNS = ["frame", "time_s", "target", "x", "y", "w", "h", "status", "reliable", "fused", "template", "statistical", "psr", "scale"];
 
-/** `frames` of the history. */
+/** CSV of the history's `frames`. */
 export function toCsv(frames) {
   const lines = frames.flatMap(({ seq, time, size, rows }) =>
     rows.map(({ target, box, status, reliable, scores, psr, scale }) => {
@@ -14,7 +14,7 @@ export function toCsv(frames) {
   return [COLUMNS.join(","), ...lines, ""].join("\n");
 }
 
-/** `source` is its name. */
+/** JSON of the history's `frames`; `source` is the name of the source. */
 export function toJson(frames, source) {
   const told = frames.map(({ seq, time, size, rows }) => ({
     frame: seq,

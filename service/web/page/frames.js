@@ -1,9 +1,9 @@
-// Frames that are on their way: canvases that are used again.
+// Canvases for frames in flight, which are reused.
 
 export class Frames {
   #free = [];
 
-  /** What `video` shows at `time`, brought to `size`. */
+  /** A frame: the picture of `video` at `time`, scaled to `size`. */
   grab(video, [width, height], time) {
     const canvas = this.#free.pop() ?? document.createElement("canvas");
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
@@ -11,7 +11,7 @@ export class Frames {
     return { canvas, time };
   }
 
-  /** The frame is needed no more. */
+  /** Take a frame back for reuse. */
   release({ canvas }) {
     this.#free.push(canvas);
   }

@@ -1,16 +1,16 @@
-// What has been seen of every target: its path, its scores, its status, and every box for the export.
+// The history of every target: path, scores and status, and every box for the export.
 
 export const KEPT = 240; // samples of a strip
 const MAX_ROWS = 400_000;
 
-/** Boxes are fractions of the frame here, so that they outlive a change of the frame's size. */
+/** Boxes are fractions of the frame here, so that they stay right when the frame's size changes. */
 export class History {
   targets = new Map();
   #frames = [];
   #rows = 0;
   #next = 1;
 
-  /** A number for a target that is new to the page. */
+  /** A number for a new target. */
   number() {
     return this.#next++;
   }
@@ -23,8 +23,8 @@ export class History {
   }
 
   /**
-   * Take a result in; `ids` are the page's numbers for its targets, `of` is the source's size at `time`.
-   * The changes of status it brought.
+   * Add a result. `ids` are the page's numbers for its targets, `of` is the source's size at `time`.
+   * Returns the changes of status.
    */
   note({ seq, size, targets }, ids, time, of) {
     const [width, height] = size;
@@ -47,7 +47,7 @@ export class History {
     return changes;
   }
 
-  /** A correction makes a new beginning. */
+  /** Clear the trail of a target that was corrected. */
   restart(id) {
     const known = this.targets.get(id);
     if (known) known.trail.length = 0;
@@ -57,14 +57,14 @@ export class History {
     return this.#frames;
   }
 
-  /** The number that the next frame takes when a new session goes on. */
+  /** The number of the next frame, for a new session that goes on. */
   get next() {
     return (this.#frames.at(-1)?.seq ?? -1) + 1;
   }
 
   #keep(frame) {
     const last = this.#frames.at(-1);
-    if (last && last.time === frame.time) this.#rows -= this.#frames.pop().rows.length; // the same frame again, corrected
+    if (last && last.time === frame.time) this.#rows -= this.#frames.pop().rows.length; // the same frame again, after a correction
     this.#frames.push(frame);
     this.#rows += frame.rows.length;
     while (this.#rows > MAX_ROWS) this.#rows -= this.#frames.shift().rows.length;

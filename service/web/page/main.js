@@ -130,7 +130,7 @@ function fileName() {
 
 async function askKey(error) {
   const dialog = byId("key-dialog");
-  if (key.get() && error.code === "unauthenticated") byId("key-text").textContent = "The key that was given is not valid. Enter another one.";
+  if (key.get() && error.code === "unauthenticated") byId("key-text").textContent = "This key is not valid. Enter another one.";
   key.forget();
   byId("key").value = dialog.returnValue = "";
   dialog.showModal();
@@ -140,7 +140,7 @@ async function askKey(error) {
   return true;
 }
 
-/** Put the menu above the button that opened it. */
+/** Place the menu above the button that opened it. */
 function above(menu, button) {
   const { right, top } = button.getBoundingClientRect();
   const { width, height } = menu.getBoundingClientRect();
@@ -148,7 +148,7 @@ function above(menu, button) {
   menu.style.top = `${Math.max(8, top - height - 8)}px`;
 }
 
-/** Controls and hints as things are now. */
+/** Update controls and hints to the present state. */
 function changed() {
   const { state, source, player } = app;
   const here = source !== null;
@@ -200,14 +200,14 @@ function suggestion() {
 
 function hint() {
   const { state, stage: { byKeys }, player, chosen, adding } = app;
-  if (byKeys) return "Arrows move, Shift and arrows resize, Enter sets, Esc gives up";
+  if (byKeys) return "Arrows move the box, Shift and arrows resize it, Enter sets it, Esc cancels";
   if (state === "starting") return "Starting…";
   if (state === "open") return app.stage.scene.suggestion ? "Or drag a box around anything else" : "Drag a box around what to follow";
   if (state !== "tracking") return "";
   if (adding) return "Drag a box around the new target";
   if (chosen === null) return "Drag a box around what to follow";
   if (player.ended) return "End of the video";
-  if (app.history.targets.get(chosen)?.status === "lost") return `Target ${chosen} is lost and searched for. Draw a box to put it right.`;
+  if (app.history.targets.get(chosen)?.status === "lost") return `Target ${chosen} is lost, and the tracker searches for it. Draw a box to correct it.`;
   return player.playing ? "" : `A new box corrects target ${chosen}`;
 }
 

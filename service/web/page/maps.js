@@ -18,7 +18,7 @@ export class Maps {
   #tiles = new Map();
   #shownAt = 0;
 
-  /** Show the maps of `target` (of the history); none of them leaves the last ones. */
+  /** Show the maps of `target` (of the history). Without maps, the last ones stay. */
   async draw(target) {
     byId("maps-of").textContent = target ? `target ${target.id}` : "";
     const now = performance.now();
@@ -59,7 +59,7 @@ export class Maps {
   }
 }
 
-/** From black over violet and orange to a pale yellow, evenly brighter. */
+/** Colors from black over violet and orange to pale yellow, with evenly rising brightness. */
 function heat() {
   const stops = [[0, 0, 4], [60, 15, 110], [150, 38, 103], [221, 81, 58], [252, 165, 10], [252, 255, 200]];
   return Array.from({ length: 256 }, (_, level) => {

@@ -1,4 +1,4 @@
-// Boxes and trails over a picture: the same on the page and in a recording. Status is told by colour and by line.
+// Draws boxes and trails over a picture, on the page and in a recording. Color and line style show the status.
 
 const COLOURS = { tracking: "#3ddc97", uncertain: "#ffb547", lost: "#ff7a6e" };
 const DASHES = { tracking: [], uncertain: [9, 5], lost: [3, 5] };

@@ -1,11 +1,11 @@
-// The lists and figures beside the picture: targets, log, figures, notice, connection.
+// The panels beside the picture: targets, log, figures, notice, connection.
 
 import { announce, byId, el, icon } from "./dom.js";
 
 const LOG_LINES = 300;
 const FINAL = { tracking: "tracking", uncertain: "uncertain", lost: "lost" };
 
-/** The targets; `onchoose(id)`, `onremove(id)`. */
+/** The list of targets; it calls `onchoose(id)` and `onremove(id)`. */
 export class TargetList {
   #items = new Map();
 
@@ -13,7 +13,7 @@ export class TargetList {
     Object.assign(this, handlers);
   }
 
-  /** `targets` of the history, `size` of the source in pixels. */
+  /** Draw the history's `targets`; the last argument is the source's size in pixels. */
   draw(targets, chosen, [width, height]) {
     const ids = targets.map(({ id }) => id);
     for (const [id, item] of this.#items) {
@@ -51,7 +51,7 @@ export class TargetList {
 }
 
 export const log = {
-  /** `what` in words; `status` colours the strong part. */
+  /** Add a line; `status` sets the color of its strong part. */
   add(at, strong, what = "", status = null) {
     const line = el("li", {}, el("time", { textContent: at }), el("span", {}, el("b", { textContent: strong }), what && ` ${what}`));
     if (status) line.dataset.status = status;
@@ -88,7 +88,7 @@ byId("notice-action").addEventListener("click", () => {
 });
 byId("notice-close").addEventListener("click", notice.hide);
 
-/** The pill in the bar; tones: idle, good, busy, bad. */
+/** The state of the connection in the bar. Its tones are idle, good, busy and bad. */
 export function connection(text, tone) {
   if (byId("connection-text").textContent === text) return;
   byId("connection").dataset.tone = tone;
@@ -96,7 +96,7 @@ export function connection(text, tone) {
   if (tone === "busy" || tone === "bad") announce(text);
 }
 
-/** The figures under the picture, of a stream's statistics. */
+/** The figures under the picture, from a stream's statistics. */
 export class Figures {
   #bytes = [];
 

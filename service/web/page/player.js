@@ -1,4 +1,4 @@
-// Plays a source into `deliver`: as it runs, or (exact) frame by frame however long each takes.
+// Plays a source into `deliver`: in real time, or (exact) frame by frame, however long each takes.
 
 export class Player {
   source = null;
@@ -12,8 +12,8 @@ export class Player {
   #moving = Promise.resolve();
 
   /**
-   * `deliver` takes the frame that is shown and resolves when the next may come; `preview` shows one that nobody
-   * asked to be delivered; `changed` hears of playing, pausing and the end.
+   * `deliver` takes the frame that is shown, and resolves when the next one may come. `preview` shows a frame that is not
+   * delivered. `changed` is called on play, pause and the end.
    */
   constructor({ deliver, preview, changed }) {
     Object.assign(this, { deliver, preview, changed });
@@ -52,7 +52,7 @@ export class Player {
     this.changed();
   }
 
-  /** The next frame only. */
+  /** Go on by one frame. */
   async step() {
     if (this.playing) this.pause();
     if (this.source && !(await this.#advance())) this.#end();
@@ -63,7 +63,7 @@ export class Player {
     await this.source?.seek(time);
   }
 
-  /** Stand still while a box is drawn; a camera cannot. */
+  /** Stop while a box is drawn. A camera goes on. */
   hold(on) {
     if (!this.source || this.#held === on) return;
     this.#held = on;
@@ -72,7 +72,7 @@ export class Player {
     else this.#go();
   }
 
-  /** After `exact` was changed. */
+  /** Apply a change of `exact`. */
   async refresh() {
     if (!this.playing || this.#held) return;
     this.#rest();
@@ -89,7 +89,7 @@ export class Player {
     else await this.source.play();
   }
 
-  /** Frame by frame until something else is wanted. */
+  /** Play frame by frame until it is stopped. */
   async #walk(march) {
     while (march === this.#march) {
       if (!(await this.#advance())) {
@@ -99,7 +99,7 @@ export class Player {
     }
   }
 
-  /** One frame further, after what is on its way; false at the end. */
+  /** Go on by one frame after those in flight. Resolves to false at the end. */
   #advance() {
     const one = async () => {
       if (!this.source) return true;

@@ -1,6 +1,6 @@
-// What went wrong, in words of whoever uses the page, and what can be done about it.
+// Explains problems to the user, and says what to do about them.
 
-/** `action` is a word that main.js knows: `key`, `again`, `restart`, `camera`, or none. */
+/** Title, text and `action` of each code. main.js knows the actions `key`, `again`, `restart` and `camera`. */
 const WORDS = {
   "camera-refused": ["Camera access was refused", "Allow the camera for this page in the browser's address bar, then try again.", "again"],
   "camera-missing": ["No camera was found", "Connect one, or choose a video file.", "again"],
@@ -11,32 +11,32 @@ const WORDS = {
   "video-unreadable": ["This video cannot be played here", "The browser does not know its format. MP4 (H.264) and WebM work almost everywhere."],
   "sample-missing": ["The sample clip could not be loaded", "The server did not answer. Is it still running?", "again"],
   "at-capacity": ["The server is full", "All its places are taken.", "again"],
-  draining: ["The server is going away", "It is being restarted. Try again in a moment.", "again"],
+  draining: ["The server is restarting", "Try again in a moment.", "again"],
   unauthenticated: ["A key is needed", "This server asks for an API key.", "key"],
-  "origin-refused": ["This address is not allowed", "The server does not take calls from pages of this address."],
-  "host-refused": ["This name is not the server's", "Without a key it answers to its IP address, localhost and names in its settings alone."],
-  "session-not-found": ["The session is gone", "The server does not know it any more; it may have been restarted.", "restart"],
+  "origin-refused": ["This address is not allowed", "The server refuses calls from pages of this address."],
+  "host-refused": ["The server does not accept this host name", "Without keys it answers only to its IP address, localhost and the names in its settings."],
+  "session-not-found": ["The session is gone", "The server does not know it. It may have been restarted.", "restart"],
   "session-gone": ["The session expired", "The server ended it.", "restart"],
-  "attached-elsewhere": ["The session was taken over", "Another page follows it now.", "restart"],
+  "attached-elsewhere": ["The session was taken over", "Another page or client is attached to it now.", "restart"],
   "connection-lost": ["The server cannot be reached", "Check the network, or whether the server still runs.", "restart"],
-  "rate-limited": ["Too many frames", "The server takes fewer a second from this key.", "restart"],
-  "over-quota": ["This key has as much as it may have", "Close a session or a stream of it, then try again.", "again"],
-  "bad-box": ["This box cannot be followed", "It is too small, or too much of it lies outside of the picture. Draw another."],
+  "rate-limited": ["Too many frames", "The server accepts fewer frames per second from this key.", "restart"],
+  "over-quota": ["The quota of this key is used up", "Close one of its sessions or streams, then try again.", "again"],
+  "bad-box": ["This box cannot be followed", "It is too small, or too much of it is outside the picture. Draw another one."],
   "too-many-targets": ["No room for another target", "Remove one first."],
   "frame-too-large": ["The frames are too large", "Choose a smaller frame size in the settings.", "restart"],
-  "frame-size-changed": ["The picture changed its size", "A new session is needed for it.", "restart"],
+  "frame-size-changed": ["The size of the picture changed", "The new size needs a new session.", "restart"],
   "deadline-exceeded": ["The server took too long", "It may be overloaded.", "restart"],
-  internal: ["The server had a fault", "It was logged there.", "restart"],
+  internal: ["The server had an internal error", "It is in the server's log.", "restart"],
 };
 const REASONS = {
   idle: "No frame came for too long, so the server ended it.",
-  expired: "It reached the longest time that the server allows.",
-  lost: "The server lost it in a fault.",
-  closed: "It was closed from elsewhere.",
+  expired: "It reached the greatest age that the server allows.",
+  lost: "The server lost it because of an error.",
+  closed: "Another client closed it.",
 };
 const LABELS = { again: "Try again", key: "Enter key", restart: "Go on from here" };
 
-/** `{title, text, action, label}` for anything that was thrown. */
+/** Returns `{title, text, action, label}` for any error. */
 export function explain(error) {
   const known = WORDS[error.code];
   if (!known) return { title: "Something went wrong", text: error.detail ?? error.message ?? String(error), action: "restart", label: LABELS.restart };

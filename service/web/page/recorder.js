@@ -1,8 +1,8 @@
-// An annotated recording: the picture with its boxes, as a video file made by the browser.
+// Records the picture with its boxes as a video file, with the browser's encoder.
 
 import { paint } from "./overlay.js";
 
-// VP8 first: it leaves the processor to the picture.
+// VP8 first, because it takes the least processor time.
 const KINDS = ["video/webm;codecs=vp8", "video/webm", "video/mp4"];
 const LEAST_WIDTH = 640;
 const BITS_PER_S = 4e6;
@@ -12,7 +12,7 @@ export class Recorder {
   #chunks = [];
   #recorder = null;
 
-  /** Whether the browser can. */
+  /** Whether the browser can record. */
   static get possible() {
     return Boolean(globalThis.MediaRecorder && HTMLCanvasElement.prototype.captureStream);
   }
@@ -36,7 +36,7 @@ export class Recorder {
     this.#recorder.start(1000);
   }
 
-  /** Take the picture as it is now. */
+  /** Add the present picture. */
   take(picture, scene) {
     if (!this.#recorder) return;
     const { width, height } = this.#canvas;
@@ -45,7 +45,7 @@ export class Recorder {
     paint(context, { x: 0, y: 0, w: width, h: height }, { ...scene, draft: null, suggestion: null }, width / LEAST_WIDTH);
   }
 
-  /** The recording, `{blob, suffix}`. */
+  /** Finish, and resolve to the recording: `{blob, suffix}`. */
   async stop() {
     const recorder = this.#recorder;
     this.#recorder = null;

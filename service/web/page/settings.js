@@ -1,20 +1,20 @@
-// The settings: a form, kept in the browser.
+// The settings: a form whose values the browser keeps.
 
 import { byId } from "./dom.js";
 import { regionsByDefault } from "/static/client/mfcmt.js";
 
 const STORE = "mfcmt.settings";
 const MODE_HELP = {
-  latest: "The newest frame wins: least delay, late frames are dropped.",
-  lossless: "Every frame is answered; a file is gone through frame by frame.",
+  latest: "The newest frame is sent: the least delay, and late frames are dropped.",
+  lossless: "Every frame is answered; a file is played frame by frame.",
 };
-/** Of these a change needs a new session. */
+/** The settings whose change needs a new session. */
 export const OF_THE_SESSION = ["maxSide", "maps", "preset"];
 
 export class Settings {
   #form = byId("settings");
 
-  /** `onchange(name)` after each change. */
+  /** `onchange(name)` is called after each change. */
   constructor(onchange) {
     const slim = regionsByDefault(); // a phone, or data to be saved
     const usual = { mode: "latest", maxSide: slim ? 480 : 640, quality: 0.8, regions: slim, maps: !slim, trail: true, preset: "default" };

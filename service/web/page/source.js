@@ -1,10 +1,10 @@
-// Where pictures come from: a camera, a video file, the sample clip. All are a <video> that is never shown itself.
+// Sources of pictures: a camera, a video file, the sample clip. Each is a <video> that is not shown itself.
 
 const RATES = [10, 12, 15, 20, 23.976, 24, 25, 29.97, 30, 48, 50, 59.94, 60, 120];
 const PRESENT_MS = 3000;
 const HIDDEN_MS = 50; // a hidden page presents nothing
 
-/** What went wrong with a source; `code` is a word that `problems.js` explains. */
+/** A source failed; `problems.js` explains `code`. */
 export class SourceError extends Error {
   constructor(code, cause) {
     super(code, { cause });
@@ -12,7 +12,7 @@ export class SourceError extends Error {
   }
 }
 
-/** Frames of one <video>. `onframe` is called for each that is shown, `onend` when there are no more. */
+/** The frames of one <video>. `onframe` is called for each frame, `onend` after the last one. */
 export class Source {
   onframe = () => {};
   onend = () => {};
@@ -41,12 +41,12 @@ export class Source {
     }
   }
 
-  /** Files stop; a camera goes on, and whoever paused does not look. */
+  /** Pause a file. A camera goes on; the player ignores its frames. */
   pause() {
     if (!this.live) this.video.pause();
   }
 
-  /** Show the next frame; false at the end. */
+  /** Show the next frame. Resolves to false at the end. */
   async step() {
     if (this.live) {
       await this.#presented();
@@ -89,7 +89,7 @@ export class Source {
     });
   }
 
-  /** Whether a frame is shown soon. */
+  /** Resolves to whether a frame is shown soon. */
   #presented() {
     return new Promise((done) => {
       this.video.requestVideoFrameCallback(() => done(true));
@@ -98,7 +98,7 @@ export class Source {
   }
 }
 
-/** A camera: by its id, or whichever looks to the `facing` side. */
+/** Open a camera by its id, or the one that faces the `facing` side. */
 export async function openCamera({ deviceId, facing = "environment" } = {}) {
   if (!navigator.mediaDevices?.getUserMedia) throw new SourceError("camera-insecure");
   const which = deviceId ? { deviceId: { exact: deviceId } } : { facingMode: { ideal: facing } };
@@ -128,7 +128,7 @@ const CAMERA_ERRORS = {
   AbortError: "camera-busy",
 };
 
-/** The cameras there are; without permission they have no names. */
+/** List the cameras. Without permission they have no names. */
 export async function cameras() {
   const devices = (await navigator.mediaDevices?.enumerateDevices?.()) ?? [];
   return devices.filter(({ kind, deviceId }) => kind === "videoinput" && deviceId);
@@ -140,7 +140,7 @@ export async function openFile(file) {
   return ready(new Source(video, { name: file.name, kind: "file", fps }));
 }
 
-/** The clip that comes with the page, and the box of its balloon as a suggestion. */
+/** Open the sample clip, with the box of its balloon as a suggestion. */
 export async function openSample() {
   const answers = await Promise.all([fetch("/static/page/sample.webm"), fetch("/static/page/sample.json")]);
   if (!answers.every((answer) => answer.ok)) throw new SourceError("sample-missing");
@@ -150,7 +150,7 @@ export async function openSample() {
   return ready(new Source(video, { name: "Sample clip", kind: "sample", fps, loop: true, suggestion }));
 }
 
-/** Its first frame is there to be drawn on. */
+/** Resolves when the first frame can be drawn on. */
 async function ready(source) {
   await source.seek(0);
   return source;
@@ -176,7 +176,7 @@ function loaded(video, code) {
   });
 }
 
-/** Frames a second, from the times of the first few. */
+/** Estimate frames per second from the times of the first few frames. */
 async function measuredRate(video) {
   const times = [];
   const enough = new Promise((done) => {

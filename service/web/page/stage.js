@@ -1,4 +1,4 @@
-// The picture and what is drawn over it; boxes are drawn here by mouse, finger or keys.
+// The picture, what is drawn over it, and the drawing of boxes by mouse, finger or keyboard.
 
 import { crisp } from "./dom.js";
 import { paint } from "./overlay.js";
@@ -7,7 +7,7 @@ const LEAST_PX = 5; // a shorter drag is a click
 const MOVE = 0.02;
 const LEAST = 0.01;
 
-/** Boxes are fractions of the frame. `onbox(box)`, `onpick(point)`, `onhold(on)` while a box is being drawn. */
+/** Boxes are fractions of the frame. Calls `onbox(box)`, `onpick(point)`, and `onhold(on)` around the drawing of a box. */
 export class Stage {
   scene = { targets: [], chosen: null, trail: true, draft: null, suggestion: null };
   armed = false;
@@ -22,13 +22,13 @@ export class Stage {
     root.addEventListener("pointermove", (event) => this.#move(event));
     root.addEventListener("pointerup", (event) => this.#up(event));
     root.addEventListener("pointercancel", () => this.cancel());
-    // A browser may take the end of a quick drag for a fling, and then swallows the tap that comes next.
+    // A browser may take the end of a quick drag for a fling, and then drops the next tap.
     root.addEventListener("touchstart", (event) => this.#pointer !== null && event.preventDefault(), { passive: false });
     root.addEventListener("keydown", (event) => this.#key(event));
     root.addEventListener("blur", () => this.byKeys && this.cancel());
   }
 
-  /** Whether a box is being drawn with the keys. */
+  /** Whether a box is being drawn with the keyboard. */
   get byKeys() {
     return this.scene.draft !== null && this.#corner === null;
   }
@@ -45,7 +45,7 @@ export class Stage {
     this.picture.hidden = this.overlay.hidden = true;
   }
 
-  /** Draw what lies over the picture, with the next repaint. */
+  /** Draw the overlay with the next repaint. */
   draw() {
     if (this.#dirty) return;
     this.#dirty = true;
@@ -58,7 +58,7 @@ export class Stage {
     });
   }
 
-  /** Where the picture lies on the stage, CSS px. */
+  /** The rectangle of the picture on the stage, in CSS pixels. */
   rect() {
     const { clientWidth: width, clientHeight: height } = this.overlay;
     const scale = Math.min(width / this.picture.width, height / this.picture.height);
@@ -73,7 +73,7 @@ export class Stage {
     this.draw();
   }
 
-  /** Begin a box in the middle, for the keys. */
+  /** Begin a box in the middle, to be moved with the keyboard. */
   begin() {
     this.scene.draft = this.scene.suggestion ?? [0.375, 0.375, 0.25, 0.25];
     this.onhold(true);

@@ -1,4 +1,4 @@
-// One run of tracking: a session, its stream, and which of its targets is which of the page's.
+// One run: a session, its stream, and the map from its targets to the page's numbers.
 
 import { Client } from "/static/client/mfcmt.js";
 
@@ -6,7 +6,7 @@ const KEY = "mfcmt.key";
 const IDLE_S = 120; // a page that vanished does not keep its place for long
 const WAIT_MS = 5000; // for a lane or a place
 
-/** The key for this tab, if one was needed. */
+/** The API key of this tab, if there is one. */
 export const key = {
   get: () => sessionStorage.getItem(KEY) ?? undefined,
   set: (value) => sessionStorage.setItem(KEY, value),
@@ -14,9 +14,8 @@ export const key = {
 };
 
 /**
- * What comes of it: `onresult(result, ids, frame)`, `onstatus(change)`, `onproblem(error)`, `onend(error)`, and
- * `onspare(frame)` for frames, `{canvas, time}`, that are done with. `number()` gives a target that is new to the
- * page its number.
+ * Calls `onresult(result, ids, frame)`, `onstatus(change)`, `onproblem(error)`, `onend(error)`, and `onspare(frame)` for
+ * frames, `{canvas, time}`, that may be reused. `number()` returns a number for a new target.
  */
 export class Tracking {
   #ids = new Map();
@@ -31,7 +30,7 @@ export class Tracking {
   /** Start on `frame` with `boxes` (pixels of it), numbered `ids` on the page. */
   async start(frame, boxes, ids, { mode, quality, regions, maps, preset, label }) {
     this.client = new Client({ key: key.get() });
-    // a phone that is turned goes on, too
+    // so that a phone may be rotated
     const options = { preset, maps, on_resize: "rescale", label: label.slice(0, 200), idle_timeout_s: IDLE_S };
     this.session = await this.client.createSession({ frame: frame.canvas, boxes, options, quality, waitMs: WAIT_MS });
     if (this.#ended) {
@@ -45,7 +44,7 @@ export class Tracking {
     this.attach({ mode, quality, regions });
   }
 
-  /** Stream from now on in `mode`. */
+  /** Stream in `mode` from now on. */
   attach({ mode, quality, regions }) {
     this.stream?.close();
     this.#frames.clear();
@@ -61,12 +60,12 @@ export class Tracking {
     return this.stream?.mode;
   }
 
-  /** Whether a frame would go out now. */
+  /** Whether a frame could be sent now. */
   get open() {
     return Boolean(this.stream?.canSend);
   }
 
-  /** Send a grabbed frame; resolves when the next may be sent. */
+  /** Send a frame. Resolves when the next one may be sent. */
   async send(frame, options = {}) {
     const { stream } = this;
     const ts = ++this.#sent;
@@ -80,7 +79,7 @@ export class Tracking {
     }
   }
 
-  /** A box on this very frame: a new target, or `target` (the page's number) put right. */
+  /** Add a target on this frame, or correct `target` (the page's number). */
   async place(frame, box, target = null) {
     const { stream } = this;
     await stream.ready;
@@ -95,7 +94,7 @@ export class Tracking {
     return this.stream.remove(this.#server(target));
   }
 
-  /** The page's numbers of these targets. */
+  /** The page's numbers for these targets. */
   numbered(targets) {
     return targets.map(({ id }) => {
       if (!this.#ids.has(id)) this.#ids.set(id, this.number());
@@ -103,7 +102,7 @@ export class Tracking {
     });
   }
 
-  /** End it, the session too. */
+  /** End the run and its session. */
   stop() {
     if (this.#ended) return;
     this.#ended = true;
@@ -111,7 +110,7 @@ export class Tracking {
     this.session?.close().catch(() => {});
   }
 
-  /** End the session while the page goes away. */
+  /** End the session while the page is being closed. */
   abandon() {
     if (!this.session || this.#ended) return;
     const last = new Client({ key: key.get(), fetch: (url, options) => fetch(url, { ...options, keepalive: true }) });

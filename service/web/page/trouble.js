@@ -1,4 +1,4 @@
-// What the page says when something breaks, is refused, or comes back.
+// Reports faults, refusals and recoveries to the user.
 
 import { connection, log, notice } from "./panels.js";
 import { explain } from "./problems.js";
@@ -9,12 +9,12 @@ export class Trouble {
   lost = false;
   #last = { code: null, at: 0 };
 
-  /** `clock()` gives the time shown, `askKey(error)` resolves to whether a key was given. */
+  /** `clock()` returns the time of the picture; `askKey(error)` resolves to whether a key was entered. */
   constructor({ clock, askKey }) {
     Object.assign(this, { clock, askKey });
   }
 
-  /** The stream's status has changed. */
+  /** Handle a change of the stream's status. */
   status({ status }) {
     if (status === "open") {
       connection("Tracking", "good");
@@ -26,13 +26,13 @@ export class Trouble {
       connection("Reconnecting…", "busy");
       if (this.lost) return;
       this.lost = true;
-      const text = status === "draining" ? "The server is being restarted." : "The network or the server broke off.";
+      const text = status === "draining" ? "The server is being restarted." : "The network or the server failed.";
       log.add(this.clock(), "Connection", "lost; trying again");
       notice.show({ title: "Reconnecting", text: `${text} Tracking goes on by itself.` }, { tone: "busy" });
     }
   }
 
-  /** One frame was refused; the run goes on. */
+  /** Handle the refusal of one frame. The run goes on. */
   refused(error) {
     const now = performance.now();
     if (error.code === this.#last.code && now - this.#last.at < SAME_PROBLEM_MS) return;
@@ -40,14 +40,14 @@ export class Trouble {
     log.add(this.clock(), "Refused", error.detail || error.code, "uncertain");
   }
 
-  /** A run ended, and nobody wanted it. */
+  /** Handle a run that ended by itself. */
   ended(error, remedies) {
     this.lost = false;
     log.add(this.clock(), "Ended", explain(error).title, "lost");
     this.tell(error, remedies);
   }
 
-  /** Say what happened; `again` and `restart` do something about it, where they can. */
+  /** Show a problem. The functions `again` and `restart` are its remedies, if it has one. */
   tell(error, { again = null, restart = null } = {}) {
     const told = explain(error);
     const ask = async () => (await this.askKey(error)) && (again ?? restart)?.();

@@ -1,4 +1,4 @@
-// What is seen of a run beside its controls: boxes on the stage, the lists, strips, maps and figures.
+// Draws a run: boxes on the stage, lists, strips, maps and figures.
 
 import { Maps } from "./maps.js";
 import { Figures, TargetList } from "./panels.js";
@@ -14,7 +14,7 @@ export class View {
   #panelsAt = 0;
   #trackMs = null;
 
-  /** `onchoose(id)` and `onremove(id)` come from the list of targets. */
+  /** The list of targets calls `onchoose(id)` and `onremove(id)`. */
   constructor({ history, stage, recorder, settings, onchoose, onremove }) {
     Object.assign(this, { history, stage, recorder, settings });
     this.list = new TargetList({ onchoose, onremove });
@@ -24,7 +24,7 @@ export class View {
     return [...this.history.targets.values()];
   }
 
-  /** The picture's boxes now, and the rest not more often than the eye sees; whether the rest was drawn, too. */
+  /** Draw the boxes at once and everything else at a lower rate. Returns whether the rest was drawn. */
   draw(sourceSize, now = false) {
     const { scene, root } = this.stage;
     if (!this.history.targets.has(this.chosen)) this.chosen = this.targets[0]?.id ?? null;
@@ -42,14 +42,14 @@ export class View {
     return true;
   }
 
-  /** The target whose box is around `[x, y]`, the smallest of several; null for none. */
+  /** The target whose box contains `[x, y]`; of several, the smallest; null for none. */
   at([x, y]) {
     const inside = ({ box: [left, top, w, h] }) => x >= left && x <= left + w && y >= top && y <= top + h;
     const [hit] = this.targets.filter(inside).sort((a, b) => a.box[2] * a.box[3] - b.box[2] * b.box[3]);
     return hit?.id ?? null;
   }
 
-  /** Milliseconds of tracking in one frame; the figure is a mean that forgets. */
+  /** Add a frame's milliseconds of tracking to the figure, a decaying mean. */
   took(ms) {
     this.#trackMs = this.#trackMs === null ? ms : this.#trackMs + 0.1 * (ms - this.#trackMs);
   }
