@@ -32,13 +32,13 @@ from .api.middleware import RequestMiddleware
 from .api.stream import StreamEndpoint
 from .auth import Authenticator
 from .lanes.interface import Lanes
+from .lanes.limits import LaneLimits
 from .lanes.pool import LanePool
 from .observability.exporter import PrometheusExporter
 from .observability.metrics import Metrics
 from .service import Service
 from .sessions.byte_budget import ByteBudget
 from .sessions.concurrency import ConcurrencyLimit
-from .sessions.config import lane_config
 from .sessions.rate_limiter import RateLimiter
 from .sessions.registry import SessionRegistry
 from .settings import Settings
@@ -134,7 +134,7 @@ def local_lanes(settings: Settings) -> LanePool:
     return LanePool(
         settings.lanes,
         settings.max_sessions_per_lane,
-        lane_config(settings),
+        LaneLimits.of(settings),
         deadline_s=settings.operation_deadline_s,
         start_timeout_s=settings.lane_start_timeout_s,
         max_rss_bytes=settings.max_lane_rss_bytes,

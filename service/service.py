@@ -20,7 +20,7 @@ from .sessions.byte_budget import ANONYMOUS, ByteBudget
 from .sessions.concurrency import ConcurrencyLimit
 from .sessions.rate_limiter import RateLimiter
 from .sessions.registry import SessionRegistry
-from .sessions.session import Attachment, Session
+from .sessions.session import AttachedStream, Session
 from .settings import Settings
 from .snapshot_signer import SnapshotSigner
 
@@ -61,7 +61,7 @@ class Service:
                 cut = self.registry.end_streams(CloseCode.UNAUTHENTICATED, "the key was revoked", self._revoked)
                 log.info("streams of revoked keys ended", streams=cut)
 
-    def _revoked(self, stream: Attachment) -> bool:
+    def _revoked(self, stream: AttachedStream) -> bool:
         return not self.authenticator.knows(stream.identity)
 
     def describe(self, session: Session, base_url: str) -> dict[str, Any]:

@@ -33,7 +33,7 @@ async def get_capabilities(service: ServiceDep, _caller: Caller, answer: AnswerD
 def capabilities(service: Service) -> dict[str, Any]:
     """Return the Capabilities of the protocol."""
     limits = {name: getattr(service.settings, name) for name in field_names(Limits)}
-    shares = service.registry.shares
+    shares = service.registry.quotas
     limits |= {"max_sessions_per_key": shares.sessions, "max_streams_per_key": shares.streams}
     lanes = next((status.versions for status in service.lanes.status() if status.versions), {})
     return message(

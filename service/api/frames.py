@@ -15,7 +15,7 @@ from ..protocol.answers import Result
 from ..protocol.enums import ProblemCode
 from ..protocol.problems import ProblemError
 from ..protocol.values import MAX_SEQ, check_echo, check_region, check_seq
-from ..sessions.session import Frame, Session
+from ..sessions.session import QueuedFrame, Session
 from . import contract
 from .deps import AnswerDep, ServiceDep, SessionDep
 from .uploads import read_upload, refuse_others
@@ -62,7 +62,7 @@ async def post_frame(
         sent = {"ts": ts, "region": region and [int(v) for v in region.split(",")]} | upload.fields
         number = check_seq(sent.pop("seq", seq))
         echo, cut = check_echo("ts", sent.pop("ts")), check_region(sent.pop("region"))
-        frame = Frame(upload.frame, 0, echo, cut, arrived, time.monotonic())
+        frame = QueuedFrame(upload.frame, 0, echo, cut, arrived, time.monotonic())
         refuse_others(sent, "frame", "seq", "ts", "region")
         _check_free(session, service.settings.credit_frames)
         if sniff(frame.data) is None:

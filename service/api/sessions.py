@@ -13,7 +13,7 @@ from ..protocol.answers import SessionInfo, SessionPage, message
 from ..protocol.enums import ProblemCode
 from ..protocol.problems import ProblemError
 from ..service import Service
-from ..sessions.session import Options, Session
+from ..sessions.session import Session
 from ..snapshot_signer import BadSignature
 from . import contract
 from .answers import BYTES, SNAPSHOT, content_type
@@ -133,12 +133,9 @@ async def _create(request: Request, service: Service, caller: str, key: str | No
     service.rate_limiter.count_bytes(caller, len(upload.frame))
     new = check_new_session(upload, service.settings)
     service.metrics.http_frame(len(new.frame))
-    chosen = new.options
-    idle_s = service.settings.idle_timeout_s if chosen.idle_timeout_s is None else chosen.idle_timeout_s
-    options = Options(chosen.preset, chosen.on_resize, chosen.label, chosen.maps, idle_s)
-    repeated = await service.registry.repeated(caller, new.frame, new.boxes, options, key)
+    repeated = await service.registry.repeated(caller, new.frame, new.boxes, new.options, key)
     if repeated is None:
-        return await service.registry.create(caller, new.frame, new.boxes, options, key)
+        return await service.registry.create(caller, new.frame, new.boxes, new.options, key)
     # The frame of the repetition is not needed, and the first call may take long.
     upload.frame = new.frame = b""
     request.scope["state"][HELD].resize(0)

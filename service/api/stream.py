@@ -70,7 +70,7 @@ class StreamEndpoint:
         session.attachment = connection
         structlog.contextvars.bind_contextvars(session=session.id)
         await send({"type": "websocket.accept", "subprotocol": selected})
-        await session.settled()
+        await session.wait_until_idle()
         log.info("stream attached", mode=mode.value, subprotocol=codec.name, seq=session.seq)
         await connection.run(self._ready(session, mode, connection.name, scope, headers))
         log.info("stream detached", seq=session.seq)
@@ -109,7 +109,7 @@ class StreamEndpoint:
     def _check_quota(self, owner: str) -> None:
         """Make sure that ``owner`` may attach another stream. Raises over-quota, at-capacity."""
         registry, settings = self._service.registry, self._service.settings
-        most = registry.shares.streams
+        most = registry.quotas.streams
         if most < settings.max_streams and registry.streams_of(owner) >= most:
             raise ProblemError(ProblemCode.OVER_QUOTA, f"at most {most} streams of a key", retry_after_s=1.0)
         if registry.streams() >= settings.max_streams:

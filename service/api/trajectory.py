@@ -22,7 +22,7 @@ from ..protocol.target import rows_to_maps
 from ..protocol.values import MAX_SEQ
 from ..service import Service
 from ..sessions.session import Session
-from ..sessions.trajectory import Entry, unpacked
+from ..sessions.trajectory import TrajectoryEntry, unpacked
 from . import contract
 from .answers import JSON, MSGPACK, preferred
 from .deps import ServiceDep, SessionDep
@@ -102,9 +102,9 @@ async def _parts(parts: Iterator[bytes]) -> AsyncIterator[bytes]:
         await turns.give_way()
 
 
-def _some(entries: Iterator[Entry]) -> Iterator[list[Entry]]:
+def _some(entries: Iterator[TrajectoryEntry]) -> Iterator[list[TrajectoryEntry]]:
     """Yield the entries in lists with few targets each."""
-    some: list[Entry] = []
+    some: list[TrajectoryEntry] = []
     rows = 0
     for entry in entries:
         some.append(entry)
@@ -133,7 +133,7 @@ def _msgpack(session: Session, packed: Packed, target: int | None) -> Iterator[b
         yield b"".join(packer.pack(_frame(entry, target)) for entry in some)
 
 
-def _frame(entry: Entry, target: int | None) -> dict[str, Any]:
+def _frame(entry: TrajectoryEntry, target: int | None) -> dict[str, Any]:
     return message(
         PastResult,
         seq=entry.seq,
@@ -144,34 +144,34 @@ def _frame(entry: Entry, target: int | None) -> dict[str, Any]:
     )
 
 
-def _rows(entry: Entry, target: int | None) -> list[list[Any]]:
+def _rows(entry: TrajectoryEntry, target: int | None) -> list[list[Any]]:
     return entry.rows if target is None else [row for row in entry.rows if row[0] == target]
 
 
-def _csv(entries: Iterator[Entry], target: int | None) -> Iterator[bytes]:
+def _csv(entries: Iterator[TrajectoryEntry], target: int | None) -> Iterator[bytes]:
     yield CSV_HEAD.encode()
     for some in _some(entries):
         yield "".join(_csv_line(entry, row) for entry in some for row in _rows(entry, target)).encode()
 
 
-def _csv_line(entry: Entry, row: list[Any]) -> str:
+def _csv_line(entry: TrajectoryEntry, row: list[Any]) -> str:
     tid, (x, y, w, h), status, reliable, *_, scale = row
     verdict = "" if reliable is None else str(reliable).lower()
     return f"{entry.seq},{_quoted(entry.ts)},{tid},{x!r},{y!r},{w!r},{h!r},{status},{verdict},{scale!r}\n"
 
 
-def _otb(entries: Iterator[Entry], target: int | None) -> Iterator[bytes]:
+def _otb(entries: Iterator[TrajectoryEntry], target: int | None) -> Iterator[bytes]:
     for some in _some(entries):
         boxes = (row[1] for entry in some for row in _rows(entry, target))
         yield "".join(f"{x + 1!r},{y + 1!r},{w!r},{h!r}\n" for x, y, w, h in boxes).encode()
 
 
-def _mot(entries: Iterator[Entry], target: int | None) -> Iterator[bytes]:
+def _mot(entries: Iterator[TrajectoryEntry], target: int | None) -> Iterator[bytes]:
     for some in _some(entries):
         yield "".join(_mot_line(entry, row) for entry in some for row in _rows(entry, target)).encode()
 
 
-def _mot_line(entry: Entry, row: list[Any]) -> str:
+def _mot_line(entry: TrajectoryEntry, row: list[Any]) -> str:
     tid, (x, y, w, h), status, *_ = row
     box = f"{x + 1!r},{y + 1!r},{w!r},{h!r}"
     return f"{entry.seq + 1},{tid + 1},{box},{CONFIDENCE[status]},-1,-1,-1\n"

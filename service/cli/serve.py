@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     from ..app import create_app
     from ..observability import logs
     from ..server import make_server
-    from ..sessions.sqlite_store import StateDirError
+    from ..sessions.state_file import StateDirError
 
     logs.configure(settings.log_format, settings.log_level)
     for line in unread_settings():

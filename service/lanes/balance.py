@@ -1,24 +1,24 @@
-"""How the work is spread over lanes: what each key has used of its lane lately, and which one should move."""
+"""Balance between lanes: how much of its lane each key has used of late, and which key should move."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from math import exp
 
-# How far back "lately" reaches: what is this old counts for a third of what is new.
+# Time constant of the average: use that is this old counts for about a third (1/e) of new use.
 MEMORY_S = 3.0
-# A key moves when its lane is so full and another so idle,
+# A key moves if its lane is busy for at least FULL of the time and another for at most IDLE of it,
 FULL, IDLE = 0.9, 0.4
-# if the fuller of both lanes is the less full for it by this at least.
+# and if the move makes the busier of the two less busy by at least this.
 LEAST_GAIN = 0.02
-# After a move both lanes settle for so long, and the key stays where it is for so long.
+# After a move, both lanes and the key take no part in another for these times.
 LANES_REST_S, KEY_RESTS_S = 10.0, 60.0
 # A key that used less than this is forgotten.
 NOTHING = 0.001
 
 
 class RecentUsage:
-    """The part of a lane's time that each key has used of late, from 0 to 1."""
+    """The share of a lane's time that each key has used of late, from 0 to 1."""
 
     def __init__(self, now: float) -> None:
         self._parts: dict[str, float] = {}
@@ -26,24 +26,24 @@ class RecentUsage:
         self._since = now
 
     def add(self, key: str, seconds: float) -> None:
-        """``key`` has used a lane for so long."""
+        """Count the seconds for which ``key`` has used a lane."""
         self._used[key] = self._used.get(key, 0.0) + seconds
 
     def part(self, key: str) -> float:
-        """The part that ``key`` has used."""
+        """Return the share that ``key`` has used."""
         return self._parts.get(key, 0.0)
 
     def parts(self) -> Iterable[tuple[str, float]]:
-        """Every key that has used any, and its part."""
+        """Return every key that has used any time, and its share."""
         return self._parts.items()
 
     def forget(self, key: str) -> None:
-        """``key`` has ended."""
+        """Remove a key that has ended."""
         self._parts.pop(key, None)
         self._used.pop(key, None)
 
     def update(self, now: float) -> None:
-        """Take in what was used since this was last called."""
+        """Bring the shares up to date with what was counted since the last call."""
         passed = now - self._since
         if passed <= 0:
             return
@@ -52,7 +52,7 @@ class RecentUsage:
         rest = {}
         for key in self._parts.keys() | self._used.keys():
             used = self._used.get(key, 0.0)
-            if used > passed:  # one long operation, told at its end
+            if used > passed:  # one long operation, counted at its end
                 rest[key] = used - passed
             part = self._parts.get(key, 0.0) * kept + min(1.0, used / passed) * (1 - kept)
             if part < NOTHING:
@@ -63,17 +63,24 @@ class RecentUsage:
 
 
 class Rebalancer:
-    """Chooses which key should go where, one at a time, and lets things settle in between."""
+    """Chooses which key should move to which lane, one at a time, and lets both lanes settle in between."""
 
     def __init__(self) -> None:
-        # What rests, and until when.
+        # The lanes and keys that rest, and until when.
         self._lanes: dict[int, float] = {}
         self._keys: dict[str, float] = {}
 
     def choose(self, parts: Sequence[Mapping[str, float]], room: Iterable[int], now: float) -> tuple[str, int] | None:
-        """A key and the lane that it should go on in, or None.
+        """Return a key and the lane that it should move to, or None.
 
-        ``parts`` holds for each lane the part that each of its keys uses, ``room`` the lanes that can take one more.
+        Parameters
+        ----------
+        parts
+            For each lane, the share of its time that each of its keys uses.
+        room
+            The lanes that can take one more key.
+        now
+            Seconds of a monotonic clock.
         """
         self._forget(now)
         busy = [sum(lane.values()) for lane in parts]
@@ -83,7 +90,7 @@ class Rebalancer:
             return None
         crowded, idle = max(full, key=busy.__getitem__), min(ready, key=busy.__getitem__)
 
-        # How full the fuller of both lanes is after each move; of moves that come to the same, the smallest.
+        # The load of the busier of both lanes after each move; of equal ones, the move of the smallest share.
         moves = [
             (round(max(busy[crowded] - part, busy[idle] + part), 2), part, key)
             for key, part in parts[crowded].items()

@@ -1,8 +1,8 @@
-"""What a lane gives up before it looks at the first byte of a client: it decodes images that strangers send.
+"""Rights that a lane gives up before it reads the first byte of a client, because it decodes images from strangers.
 
-Linux gives the means: a network namespace without devices, no capabilities, no new privileges, Landlock
-(no file is written, none is read but the libraries, nothing is executed, no TCP, no signal to and no look into
-another process) and resource limits. Each is used where the platform has it and allows it.
+On Linux these are: a network namespace without devices, no capabilities, no new privileges, resource limits, and
+Landlock (the process writes no file, reads none but libraries, executes nothing, opens no TCP connection, and can
+neither signal nor inspect another process). Each is used where the platform has it and allows it.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import contextlib
 import ctypes
 import os
 import resource
+import signal
 import stat
 import sys
 import sysconfig
@@ -19,12 +20,12 @@ from pathlib import Path
 
 MAX_OPEN_FILES = 64
 CLONE_NEWUSER, CLONE_NEWNET = 0x10000000, 0x40000000
-PR_SET_NO_NEW_PRIVS = 38
+PR_SET_PDEATHSIG, PR_SET_NO_NEW_PRIVS = 1, 38
 # The same numbers on every architecture since Linux 5.13.
 LANDLOCK_CREATE_RULESET, LANDLOCK_ADD_RULE, LANDLOCK_RESTRICT_SELF = 444, 445, 446
 LANDLOCK_VERSION, LANDLOCK_PATH_BENEATH = 1, 1
 READ_FILE, READ_DIR = 1 << 2, 1 << 3
-# Rights over files, TCP and other processes that each version of Landlock knows.
+# The rights over files, TCP and other processes that each version of Landlock can take away.
 FILES = {1: 0x1FFF, 2: 0x3FFF, 3: 0x7FFF, 5: 0xFFFF}
 TCP, TCP_SINCE = 0b11, 4
 SCOPES, SCOPES_SINCE = 0b11, 6
@@ -44,8 +45,14 @@ class _Capabilities(ctypes.Structure):
     _fields_ = [("version", ctypes.c_uint32), ("pid", ctypes.c_int)]
 
 
+def die_with_parent() -> None:
+    """Have the kernel kill this process when the thread that forked it ends; on Linux only."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+
+
 def confine() -> list[str]:
-    """Give up what can be given up, for this process and for good; what it was."""
+    """Give up for good every right that this process can give up, and return the names of those it did."""
     if sys.platform != "linux":
         return _limits()
     libc = ctypes.CDLL(None, use_errno=True)
@@ -63,7 +70,7 @@ def confine() -> list[str]:
 
 
 def _limits() -> list[str]:
-    """Few files, no children, no core dump; where the log is not a file, nothing written to any."""
+    """Allow few open files, no children and no core dump; and no writing to files, unless the log is one."""
     lowered = {resource.RLIMIT_CORE: 0, resource.RLIMIT_NOFILE: MAX_OPEN_FILES, resource.RLIMIT_NPROC: 0}
     if not any(stat.S_ISREG(os.fstat(descriptor).st_mode) for descriptor in (1, 2)):
         lowered[resource.RLIMIT_FSIZE] = 0
@@ -75,15 +82,15 @@ def _limits() -> list[str]:
 
 
 def _libraries() -> list[Path]:
-    """What may have to be read later: Python's modules, ours, and the system's libraries."""
-    told = sysconfig.get_paths()
+    """Return the folders that may have to be read later: Python's modules, ours, and the system's libraries."""
+    paths = sysconfig.get_paths()
     ours = Path(__file__).resolve().parents[2]
-    folders = [Path(told[name]) for name in ("stdlib", "platstdlib", "purelib", "platlib")]
+    folders = [Path(paths[name]) for name in ("stdlib", "platstdlib", "purelib", "platlib")]
     return [*folders, ours / "service", ours / "mfcmt_core", Path("/usr/lib"), Path("/lib"), Path("/lib64")]
 
 
 def _landlock(libc: ctypes.CDLL, readable: Iterable[Path]) -> int:
-    """Restrict this process; the version of Landlock that does, 0 without one."""
+    """Restrict this process by Landlock, and return the version of it that does so; 0 if there is none."""
     version: int = libc.syscall(LANDLOCK_CREATE_RULESET, None, ctypes.c_size_t(0), LANDLOCK_VERSION)
     if version < 1:
         return 0

@@ -1,109 +1,131 @@
-"""A session's state as bytes: its checkpoints, which never leave the service, and its snapshots, which do.
+"""A session's state as bytes: its checkpoints, which stay in the service, and its snapshots, which clients hold.
 
-What comes back from a client is checked field by field before anything is made of it.
+The contents are one map. What a client sends in is checked against the types of the protocol before it is used.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from dataclasses import fields, is_dataclass
+from enum import StrEnum
 from math import isfinite
-from typing import Any
+from types import NoneType, UnionType
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 import msgpack
+from annotated_types import Gt
 
 from mfcmt_core.images import FrameError, FrameLimits, inspect
 from mfcmt_core.snapshot import parse
 
-PRESETS = ("default", "paper")
-RESIZES = ("reject", "rescale")
-STATUSES = ("tracking", "uncertain", "lost")
-FIELDS = {"options", "targets", "next_id", "seq", "size", "newest", "newest_at", "want_full", "front"}
+from ..protocol.requests import LEAST_IDLE_S, Options
+from ..protocol.target import ROW_FIELDS, Target, complete
+
+FIELDS = {"options", "targets", "next_id", "seq", "size", "newest", "newest_at", "want_full"}
 MAX_INTEGER = 2**53
-MAX_LABEL = 200
-LARGEST = 1e12
+# Numbers of a snapshot stay below this, so that no sum or product of a few of them overflows.
+MAX_NUMBER = 1e12
+# The bounds and the types of the fields, as the classes define them.
+_BOUNDS = {kind: {one.name: one.metadata for one in fields(kind)} for kind in (Target, Options)}
+_TYPES = {kind: get_type_hints(kind, include_extras=True) for kind in (Target, Options)}
 
 
 def pack(contents: dict[str, Any]) -> bytes:
-    """As bytes that :func:`unpack` reads."""
+    """Return the contents as bytes that :func:`unpack` reads."""
     data: bytes = msgpack.packb(contents)
     return data
 
 
 def unpack(data: bytes) -> dict[str, Any]:
-    """What :func:`pack` was given, if these are its bytes. Raises ValueError if they are not even MessagePack."""
+    """Return the contents in the present layout. Raises ValueError for bytes that are none.
+
+    The first snapshots kept the label and the idle time apart from the other options, as ``front``.
+    """
     try:
-        told: dict[str, Any] = msgpack.unpackb(data)
-    except (RecursionError, msgpack.UnpackException) as wrong:
-        raise ValueError("not MessagePack") from wrong
-    return told
+        contents: dict[str, Any] = msgpack.unpackb(data)
+        if "front" in contents:
+            contents["options"] = {**contents["options"], **contents.pop("front")}
+    except (TypeError, KeyError, AttributeError, RecursionError, msgpack.UnpackException) as wrong:
+        raise ValueError("no map of these contents") from wrong
+    return contents
 
 
-def check(contents: Any, limits: FrameLimits, max_targets: int) -> None:
-    """Look at what a client sent in. Raises ValueError and BadSnapshot, whatever is wrong with it."""
+def options_of(contents: dict[str, Any]) -> Options:
+    """Return the session's options. Raises TypeError for options that do not exist."""
+    return Options(**contents["options"])
+
+
+def check(contents: dict[str, Any], limits: FrameLimits, max_targets: int) -> None:
+    """Check contents that a client sent in. Raises ValueError or BadSnapshot, whatever is wrong with them."""
     try:
         _check(contents, limits, max_targets)
     except (TypeError, KeyError, AttributeError, RecursionError, FrameError) as wrong:
         raise ValueError("not the contents of a snapshot") from wrong
 
 
-def _check(contents: Any, limits: FrameLimits, max_targets: int) -> None:
-    _need(isinstance(contents, dict) and contents.keys() == FIELDS)
-    options, front = contents["options"], contents["front"]
-    _need(options.keys() == {"preset", "on_resize", "maps"})
-    _need(options["preset"] in PRESETS and options["on_resize"] in RESIZES and type(options["maps"]) is bool)
-    _need(front.keys() == {"label", "idle_timeout_s"})
-    label = front["label"]
-    _need(label is None or (type(label) is str and len(label) <= MAX_LABEL))
-    _number(front["idle_timeout_s"], above=0)
-    _need(type(contents["want_full"]) is bool)
-    _integer(contents["seq"])
+def _check(contents: dict[str, Any], limits: FrameLimits, max_targets: int) -> None:
+    _require(contents.keys() == FIELDS)
+    options, idle_s = contents["options"], contents["options"]["idle_timeout_s"]
+    # A service whose own idle time is shorter than what clients may ask for makes sessions with it.
+    _require(options.keys() == _BOUNDS[Options].keys() and idle_s > 0)
+    _check_values(Options, options | {"idle_timeout_s": max(idle_s, LEAST_IDLE_S)})
+    _require(type(contents["want_full"]) is bool)
+    _check_integer(contents["seq"])
     _check_frame(contents, limits)
-    targets, next_id = contents["targets"], _integer(contents["next_id"])
-    _need(type(targets) is list and len(targets) <= max_targets)
+    targets, next_id = contents["targets"], _check_integer(contents["next_id"])
+    _require(type(targets) is list and len(targets) <= max_targets)
     for row, tracker in targets:
-        _check_row(row)
-        _need(row[0] < next_id and parse(tracker)[2] == tuple(contents["size"]))
-    _need(len({row[0] for row, _ in targets}) == len(targets))
+        _check_values(Target, dict(zip(ROW_FIELDS, complete(row), strict=True)))
+        _require(_check_integer(row[0]) < next_id and parse(tracker)[2] == tuple(contents["size"]))
+    _require(len({row[0] for row, _ in targets}) == len(targets))
 
 
 def _check_frame(contents: dict[str, Any], limits: FrameLimits) -> None:
-    """The newest frame is an image that lies in the frame where it says."""
-    width, height = map(_integer, contents["size"])
-    x, y = map(_integer, contents["newest_at"])
-    _need(type(contents["newest"]) is bytes)
+    """Check that the newest frame is an image, and lies in the whole frame where the contents say."""
+    width, height = map(_check_integer, contents["size"])
+    x, y = map(_check_integer, contents["newest_at"])
+    _require(type(contents["newest"]) is bytes)
     image = inspect(contents["newest"], limits)
-    _need(width <= limits.max_side and height <= limits.max_side and width * height <= limits.max_pixels)
-    _need(x + image.width <= width and y + image.height <= height)
+    _require(width <= limits.max_side and height <= limits.max_side and width * height <= limits.max_pixels)
+    _require(x + image.width <= width and y + image.height <= height)
 
 
-def _check_row(row: Any) -> None:
-    tid, (x, y, w, h), status, reliable, flags, scores, psr, updated, scale = row
-    _integer(tid)
-    _number(x), _number(y), _number(w, above=0), _number(h, above=0)
-    _need(type(status) is str and status in STATUSES)
-    _need(reliable is None or type(reliable) is bool)
-    _need(flags is None or (len(flags) == 3 and all(type(flag) is bool for flag in flags)))
-    _need(scores is None or len(_numbers(scores)) == 3)
-    _need(type(updated) is bool)
-    if psr is not None:
-        _number(psr)
-    _number(scale, above=0)
+def _check_values(kind: type[Target] | type[Options], values: dict[str, Any]) -> None:
+    """Check each value against the type and the bounds of the field of ``kind`` that has its name."""
+    for name, value in values.items():
+        _require(_fits(value, _TYPES[kind][name]))
+        bounds = _BOUNDS[kind][name]
+        if type(value) in (int, float):
+            _require(bounds.get("ge", value) <= value <= bounds.get("le", value))
+            _require(value > bounds.get("gt", -MAX_NUMBER))
+        elif type(value) is str:
+            _require(len(value) <= bounds.get("max_length", len(value)))
 
 
-def _numbers(values: Iterable[Any]) -> list[float]:
-    return [_number(value) for value in values]
+def _fits(value: Any, expected: Any) -> bool:
+    """Return whether a plain value is of a type of the protocol: what is an object there is a list here."""
+    origin, parts = get_origin(expected), get_args(expected)
+    if origin is Annotated:
+        return _fits(value, parts[0]) and all(value > one.gt for one in parts[1:] if isinstance(one, Gt))
+    if origin in (Union, UnionType):
+        return any(_fits(value, part) for part in parts)
+    if is_dataclass(expected):
+        origin, parts = tuple, tuple(get_type_hints(expected).values())
+    if origin is tuple:
+        return type(value) is list and len(value) == len(parts) and all(map(_fits, value, parts))
+    if expected is NoneType:
+        return value is None
+    if expected is float:
+        return type(value) in (int, float) and isfinite(value) and abs(value) < MAX_NUMBER
+    if issubclass(expected, StrEnum):
+        return type(value) is str and value in set(expected)
+    return type(value) is expected
 
 
-def _number(value: Any, above: float = -LARGEST) -> float:
-    _need(type(value) in (int, float) and isfinite(value) and above < value < LARGEST)
-    return float(value)
-
-
-def _integer(value: Any) -> int:
-    _need(type(value) is int and 0 <= value < MAX_INTEGER)
+def _check_integer(value: Any) -> int:
+    _require(type(value) is int and 0 <= value < MAX_INTEGER)
     return int(value)
 
 
-def _need(condition: bool) -> None:
+def _require(condition: bool) -> None:
     if not condition:
         raise ValueError("not the contents of a snapshot")

@@ -1,4 +1,4 @@
-"""How many cores this process may use, and how many lanes those are for."""
+"""The number of cores that this process may use, and the number of lanes that suits them."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ CGROUP = Path("/sys/fs/cgroup")
 
 
 def usable_cores(cgroup: Path = CGROUP) -> int:
-    """Cores by CPU affinity and by the quota of cgroup version 2 or 1, rounded down, at least 1."""
+    """Return the cores that CPU affinity and the quota of cgroup version 2 or 1 allow, rounded down, at least 1."""
     cores = float(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
     quota = _quota(cgroup)
     return max(1, int(cores if quota is None else min(cores, quota)))
 
 
 def lanes_for(cores: int) -> int:
-    """A lane for each core but one, which the front fills before its lanes fill theirs.
+    """Return one lane fewer than cores: the front fills a core before so many lanes fill theirs.
 
-    One or two cores get as many lanes: there the front takes a fifth of what a lane takes, not a core.
+    One or two cores get one or two lanes; for so few lanes the front needs a fifth of a core, not a whole one.
     """
     return cores - 1 if cores > 2 else cores
 
 
 def default_lanes() -> int:
-    """Lanes for the cores that can be used here."""
+    """Return the number of lanes for the cores that this process may use."""
     return lanes_for(usable_cores())
 
 

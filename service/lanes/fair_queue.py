@@ -1,4 +1,4 @@
-"""Whose turn it is in a lane: start-time fair queueing over the time that each key has used."""
+"""Start-time fair queueing: the order in which the calls of many keys enter a lane."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ T = TypeVar("T")
 
 
 class FairQueue(Generic[T]):
-    """Items by key; the key that has used least time is next, and sleeping saves nothing up."""
+    """Items by key. The key that has used the least time goes first; a key that pauses saves up no credit."""
 
     def __init__(self) -> None:
         self._waiting: dict[str, deque[T]] = {}
@@ -21,7 +21,7 @@ class FairQueue(Generic[T]):
 
     @property
     def known(self) -> bool:
-        """Whether any key has been seen and not forgotten."""
+        """Whether there is a key that was seen and not forgotten."""
         return bool(self._used)
 
     def push(self, key: str, item: T) -> None:
@@ -32,7 +32,7 @@ class FairQueue(Generic[T]):
         self._waiting[key].append(item)
 
     def pop(self) -> tuple[str, T] | None:
-        """The next key and its item, or None."""
+        """Remove the next item and return it with its key; None if no item waits."""
         if not self._waiting:
             return None
         key = min(self._waiting, key=self._used.__getitem__)
@@ -40,7 +40,7 @@ class FairQueue(Generic[T]):
         return key, self.take(key)
 
     def take(self, key: str) -> T:
-        """The first item of ``key``, out of turn."""
+        """Remove and return the first item of ``key``, out of turn."""
         items = self._waiting[key]
         item = items.popleft()
         if not items:
@@ -48,21 +48,21 @@ class FairQueue(Generic[T]):
         return item
 
     def charge(self, key: str, seconds: float) -> None:
-        """Count time that ``key`` has used."""
+        """Count the seconds that ``key`` has used."""
         if key in self._used:
             self._used[key] += seconds
 
     def forget(self, key: str) -> list[T]:
-        """Drop ``key``; its items that never had their turn."""
+        """Remove ``key`` and return its items that still waited."""
         self._used.pop(key, None)
         return list(self._waiting.pop(key, ()))
 
 
 class FairOwnerQueue(Generic[T]):
-    """Items by owner and key: time is shared fairly between owners, and an owner's share between its keys."""
+    """Items by owner and key. Owners share time fairly, and the keys of an owner share its part fairly."""
 
     def __init__(self) -> None:
-        self._owners: FairQueue[None] = FairQueue()  # one entry for each item of the owner
+        self._owners: FairQueue[None] = FairQueue()  # one entry for each item of an owner
         self._keys: dict[str, FairQueue[T]] = {}
 
     def push(self, owner: str, key: str, item: T) -> None:
@@ -71,7 +71,7 @@ class FairOwnerQueue(Generic[T]):
         self._keys.setdefault(owner, FairQueue()).push(key, item)
 
     def pop(self) -> T | None:
-        """The next item, if any waits."""
+        """Remove and return the next item; None if no item waits."""
         turn = self._owners.pop()
         if turn is None:
             return None
@@ -80,13 +80,13 @@ class FairOwnerQueue(Generic[T]):
         return found[1]
 
     def charge(self, owner: str, key: str, seconds: float) -> None:
-        """Count time that ``key`` of ``owner`` has used."""
+        """Count the seconds that ``key`` of ``owner`` has used."""
         self._owners.charge(owner, seconds)
         if owner in self._keys:
             self._keys[owner].charge(key, seconds)
 
     def forget(self, owner: str, key: str) -> list[T]:
-        """Drop ``key``, and ``owner`` with its last one; the items that never had their turn."""
+        """Remove ``key``, and ``owner`` with its last key, and return the items that still waited."""
         if owner not in self._keys:
             return []
         keys = self._keys[owner]

@@ -1,4 +1,4 @@
-"""The fork server's state; only the fork server imports it, before it makes the first lane."""
+"""The fork server's own state; imported by nothing but the fork server, before it makes the first lane."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import gc
 import signal
 
 from . import preload as preload
-from .orphans import die_with_parent
+from .confine import die_with_parent
 
-# The front ends its lanes itself, after it has drained; a signal to the whole group must not come first.
+# The front drains and then ends its lanes by itself; a signal to the whole process group must not end them before.
 signal.signal(signal.SIGTERM, signal.SIG_IGN)
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 die_with_parent()
-# What is here now never dies: keep the collector from touching (and so copying) its pages in every lane.
+# Objects that exist now are never freed: keep the collector from touching, and so copying, their pages in every lane.
 gc.collect()
 gc.freeze()

@@ -1,8 +1,8 @@
-"""Between front and lane: length-prefixed MessagePack over a socket pair, no copy of a frame on the way out.
+"""Messages between front and lane: length-prefixed MessagePack over a socket pair, without a copy of a frame.
 
 A message is ``length: u32, call: u32, payload``; the payload of a call is the array ``[op, key, args,
-data]``, of a reply ``took: f32``, the processor time of the operation in seconds, and ``[code, value]`` with
-a code of the problem catalogue or nil. Call 0 wants no reply.
+data]``. The payload of a reply is ``took: f32``, the processor time of the operation in seconds, and ``[code, value]``
+with a problem code or nil. Call 0 gets no reply.
 """
 
 from __future__ import annotations
@@ -26,29 +26,29 @@ LONG_VALUE = b"\x92\xc0\xc6"  # [nil, bin 32]
 
 
 class FramingError(Exception):
-    """What arrived is not of this protocol."""
+    """Bytes arrived that are not of this protocol."""
 
 
 def encode_call(op: str, key: str, args: Mapping[str, Any], data: bytes | memoryview = b"") -> Buffers:
-    """The payload of a call: one MessagePack array whose last item is ``data`` itself, not a copy."""
+    """Return the payload of a call: one MessagePack array whose last item is ``data`` itself, not a copy."""
     head = b"\x94" + msgpack.packb(op) + msgpack.packb(key) + msgpack.packb(args)
     return (head + BIN32.pack(0xC6, len(data)), data)
 
 
 def decode_call(payload: memoryview) -> tuple[str, str, dict[str, Any], bytes]:
-    """``op, key, args, data`` of a call."""
+    """Return ``op, key, args, data`` of a call."""
     op, key, args, data = msgpack.unpackb(payload)
     return op, key, args, data
 
 
 def encode_reply(code: str | None, value: Any) -> bytes:
-    """The payload of a reply."""
+    """Return the payload of a reply."""
     packed: bytes = msgpack.packb((code, value))
     return packed
 
 
 def decode_reply(payload: bytes | memoryview) -> tuple[str | None, Any]:
-    """``code, value`` of a reply; a long binary value is a view of it, not a copy."""
+    """Return ``code, value`` of a reply; a long binary value is a view of the payload, not a copy."""
     if payload[:3] == LONG_VALUE:
         return None, memoryview(payload)[len(LONG_VALUE) + 4 :]
     try:
@@ -59,18 +59,18 @@ def decode_reply(payload: bytes | memoryview) -> tuple[str | None, Any]:
 
 
 def framed(call: int, payload: Buffers) -> list[bytes | memoryview]:
-    """The buffers of one message."""
+    """Return the buffers of one message."""
     return [HEAD.pack(sum(map(len, payload)), call), *payload]
 
 
 class Splitter:
-    """Bytes as they come from a stream, to messages."""
+    """Splits the bytes of a stream into messages."""
 
     def __init__(self) -> None:
         self._rest = bytearray()
 
     def feed(self, data: bytes) -> Iterator[tuple[int, bytes | memoryview]]:
-        """``call, payload`` of every message that ``data`` completes. Raises FramingError."""
+        """Yield ``call, payload`` of every message that ``data`` completes. Raises FramingError."""
         self._rest += data
         at = 0
         while len(self._rest) - at >= HEAD.size:
@@ -81,7 +81,7 @@ class Splitter:
             if len(self._rest) < end:
                 break
             if length >= LONG_BYTES and end == len(self._rest):
-                # Megabytes are handed on as they are: a copy would hold up the loop.
+                # Megabytes are passed on without a copy, which would hold up the event loop.
                 whole, self._rest = self._rest, bytearray()
                 yield call, memoryview(whole)[at + HEAD.size :]
                 return
@@ -92,7 +92,7 @@ class Splitter:
 
 
 class BlockingWire:
-    """The lane's end: one message in, one out, over a blocking socket and one buffer that grows."""
+    """The lane's end of the socket: receives and sends one message at a time, with one buffer that grows."""
 
     def __init__(self, sock: socket.socket) -> None:
         sock.setblocking(True)
@@ -101,7 +101,7 @@ class BlockingWire:
         self._buffer = bytearray(1 << 18)
 
     def receive(self) -> tuple[int, memoryview]:
-        """``call, payload``; the payload is good until the next call. Raises EOFError at the end."""
+        """Return ``call, payload``; the payload is valid until the next call. Raises EOFError at the end."""
         self._fill(memoryview(self._head))
         length, call = HEAD.unpack(self._head)
         if length > len(self._buffer):

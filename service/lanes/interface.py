@@ -1,4 +1,4 @@
-"""What the front knows of lanes: bytes in, bytes out. A local pool implements it today, a cluster may."""
+"""The lanes as the front sees them: bytes in, bytes out. A local pool implements this; a cluster could."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ Buffers = Sequence[bytes | memoryview]
 
 
 class AtCapacity(Exception):
-    """No lane has a free place now."""
+    """No lane has a free place at the moment."""
 
 
 class LaneLost(Exception):
-    """A call was not answered, and what the lane held for its key is gone.
+    """A call was not answered, and the state that the lane held for its key is gone.
 
-    ``cause``: the lane ``died``, ``hung`` past the deadline or outgrew its ``memory``; the key was
-    ``released``, or has no lane now (``absent``). ``in_work``: the lane was at this very call.
+    ``cause`` is ``died``, ``hung`` (the deadline passed), ``memory`` (the lane outgrew its limit), ``released`` (the
+    key was) or ``absent`` (the key has no lane). ``in_work`` is True if the lane was working on this very call.
     """
 
     def __init__(self, cause: str, *, in_work: bool = False) -> None:
@@ -27,8 +27,10 @@ class LaneLost(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """In which lane a key is, and what became of its lane before: as in LaneLost, ``restart`` if it had none
-    here, nothing if it is the same."""
+    """The lane of a key, and why it lost the one before.
+
+    ``cause`` is as in :class:`LaneLost`, ``restart`` for a key of an earlier process, or empty if the lane is the same.
+    """
 
     lane: int
     cause: str
@@ -36,7 +38,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class KeysLost:
-    """An event: a lane has died, and with it what it held for these keys."""
+    """An event: a lane has died, and the state that it held for these keys is gone."""
 
     lane: int
     cause: str
@@ -45,7 +47,7 @@ class KeysLost:
 
 @dataclass(frozen=True, slots=True)
 class LaneReady:
-    """An event: a lane has started and takes keys; ``confined`` is what it has given up (see ``confine``)."""
+    """An event: a lane has started and takes keys; ``confined`` names the rights that it gave up."""
 
     lane: int
     confined: tuple[str, ...] = ()
@@ -53,7 +55,7 @@ class LaneReady:
 
 @dataclass(frozen=True, slots=True)
 class LaneCrowded:
-    """An event: ``key`` would go on better in ``lane``, which has time to spare when its own has not."""
+    """An event: ``key`` should move to ``lane``, which has time to spare while its own has none."""
 
     key: str
     lane: int
@@ -64,7 +66,7 @@ LaneEvent = KeysLost | LaneReady | LaneCrowded
 
 @dataclass(frozen=True, slots=True)
 class LaneStatus:
-    """A lane as the front sees it at any moment; ``failing``: it dies again and again."""
+    """The state of a lane; ``failing`` is True if it dies again and again."""
 
     lane: int
     ready: bool
@@ -75,7 +77,7 @@ class LaneStatus:
 
 @dataclass(frozen=True, slots=True)
 class LaneUsage:
-    """What a lane's process uses: resident memory, and CPU time since it started."""
+    """The resident memory of a lane's process, and its CPU time since it started."""
 
     lane: int
     rss_bytes: int
@@ -83,43 +85,43 @@ class LaneUsage:
 
 
 class Lanes(Protocol):
-    """A set of lanes; a key (a session) lives in one of them from ``reserve`` to ``release``.
+    """A set of lanes. A key (a session) has a place in one of them from ``reserve`` to ``release``.
 
-    Keys have an owner: lanes share their time between owners first, then between the keys of one.
+    Keys have owners: a lane shares its time fairly between owners, and then between the keys of each.
     """
 
     async def start(self) -> None:
-        """Begin to start all lanes; events tell when they are ready."""
+        """Begin to start all lanes; :meth:`events` yields when they are ready."""
 
     async def stop(self) -> None:
         """End all lanes."""
 
     def reserve(self, key: str, owner: str) -> None:
-        """Give ``key`` a place in the lane with the most time to spare, now or never. Raises AtCapacity."""
+        """Give ``key`` a place in the lane with the most time to spare. Raises AtCapacity if there is none now."""
 
     def move(self, key: str, lane: int) -> bool:
-        """Give ``key`` a place in that lane instead; its own forgets it. False, and nothing done, without room."""
+        """Move the place of ``key`` to ``lane`` and drop its state. Return False, changing nothing, without room."""
 
     async def regain(self, key: str, owner: str) -> Place:
-        """Give ``key``, whose lane was lost, a place again, when there is one. Raises LaneLost if it is released."""
+        """Wait for a new place for ``key``, whose lane was lost. Raises LaneLost if the key is released."""
 
     def holds(self, key: str) -> bool:
-        """Whether ``key`` has a place in a lane."""
+        """Return whether ``key`` has a place in a lane."""
 
     async def call(self, key: str, request: Buffers) -> bytes | memoryview:
-        """One operation in the key's lane: a MessagePack value there and one back, in the order of calls.
+        """Do one operation in the key's lane: send a MessagePack value and return the reply. Raises LaneLost.
 
-        Raises LaneLost. Calls of different owners, and of different keys of one, share a lane's time fairly.
+        The calls of one key are done in their order. Owners, and the keys of each, share a lane's time fairly.
         """
 
     def release(self, key: str) -> None:
-        """Free the key's place at once; its lane forgets it before it takes another."""
+        """Free the key's place at once; its lane drops the state before it does anything for another key."""
 
     def events(self) -> AsyncIterator[LaneEvent]:
-        """What happens to lanes, as it happens; for one reader."""
+        """Yield what happens to lanes, as it happens; for one reader."""
 
     def status(self) -> list[LaneStatus]:
-        """Every lane."""
+        """Return the state of every lane."""
 
     def usage(self) -> list[LaneUsage]:
-        """What every lane uses; asks the system, so not for every call."""
+        """Return what every lane uses. This asks the operating system, so it is not for every call."""

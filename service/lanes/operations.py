@@ -10,15 +10,17 @@ import numpy as np
 
 from mfcmt_core import BadSnapshot
 from mfcmt_core import __version__ as core_version
-from mfcmt_core.images import FrameLimits
 
+from ..protocol.enums import ProblemCode
+from ..protocol.problems import ProblemError
+from ..protocol.requests import Options
 from . import contents
-from .frame_view import Refused
-from .lane_session import LaneSession, Options
+from .lane_session import LaneSession
+from .limits import LaneLimits
 
 
 def versions() -> dict[str, str]:
-    """Versions of what decides over results."""
+    """Return the versions of the software that results depend on."""
     return {
         "mfcmt": core_version,
         "numpy": np.__version__,
@@ -28,16 +30,27 @@ def versions() -> dict[str, str]:
 
 
 class LaneOperations:
-    """``config`` is what the front tells its lanes when they start (see ``service.sessions.config``)."""
+    """Does what the front asks of a lane."""
 
-    def __init__(self, config: dict[str, Any]) -> None:
-        self._limits = FrameLimits(**config["frame_limits"])
-        self._max_targets: int = config["max_targets"]
-        self._region_lag: int = config["region_lag"]
+    def __init__(self, limits: LaneLimits) -> None:
+        self._limits = limits
         self._sessions: dict[str, LaneSession] = {}
 
     def handle(self, op: str, key: str, args: dict[str, Any], data: bytes) -> Any:
-        """One operation, of the closed set below. Raises Refused."""
+        """Do one operation and return its reply as plain values. Raises ProblemError; then nothing has changed.
+
+        Parameters
+        ----------
+        op
+            ``create``, ``track``, ``control``, ``snapshot``, ``restore``, ``drop``; and to bring sessions back after a
+            lane was lost, ``checkpoint`` and ``revive``.
+        key
+            The session.
+        args
+            Plain values by name, as each operation needs them.
+        data
+            The frame, snapshot or checkpoint.
+        """
         match op:
             case "track":
                 session = self._sessions[key]
@@ -45,8 +58,8 @@ class LaneOperations:
             case "control":
                 return self._sessions[key].control(args)
             case "create":
-                session = LaneSession(self._options(args["options"]))
-                state = session.begin(data, args["boxes"])
+                session = LaneSession(Options(**args["options"]), self._limits)
+                state = session.start(data, args["boxes"])
                 self._sessions[key] = session
                 return state
             case "checkpoint":
@@ -54,7 +67,8 @@ class LaneOperations:
             case "revive":
                 return self._revive(key, data)
             case "snapshot":
-                return contents.pack(self._sessions[key].to_dict() | {"front": args["front"]})
+                # The front may have cut the idle time since the session was made.
+                return contents.pack(self._sessions[key].to_dict() | {"options": args["options"]})
             case "restore":
                 return self._restore(key, data)
             case "drop":
@@ -64,23 +78,22 @@ class LaneOperations:
                 raise ValueError(op)
 
     def _revive(self, key: str, data: bytes) -> dict[str, Any]:
+        """Make a session from a checkpoint, which has never left the service."""
         try:
-            return self._resumed(key, contents.unpack(data)).state()
+            return self._resume(key, contents.unpack(data)).state()
         except (ValueError, TypeError, KeyError, IndexError) as bad:
-            raise Refused("bad-snapshot", "the checkpoint cannot be read") from bad
+            raise ProblemError(ProblemCode.BAD_SNAPSHOT, "the checkpoint cannot be read") from bad
 
     def _restore(self, key: str, data: bytes) -> dict[str, Any]:
+        """Make a session from a snapshot that a client sent in."""
         try:
-            told = contents.unpack(data)
-            contents.check(told, self._limits, self._max_targets)
-            state = self._resumed(key, told).state()
+            found = contents.unpack(data)
+            contents.check(found, self._limits.frame, self._limits.max_targets)
+            state = self._resume(key, found).state()
         except (BadSnapshot, ValueError) as bad:
-            raise Refused("bad-snapshot", "its contents do not fit together") from bad
-        return state | {"front": told["front"], "options": told["options"]}
+            raise ProblemError(ProblemCode.BAD_SNAPSHOT, "its contents do not fit together") from bad
+        return state | {"options": found["options"]}
 
-    def _resumed(self, key: str, told: dict[str, Any]) -> LaneSession:
-        session = self._sessions[key] = LaneSession.from_dict(self._options(told["options"]), told)
+    def _resume(self, key: str, found: dict[str, Any]) -> LaneSession:
+        session = self._sessions[key] = LaneSession.from_dict(found, self._limits)
         return session
-
-    def _options(self, chosen: dict[str, Any]) -> Options:
-        return Options(self._limits, self._max_targets, self._region_lag, **chosen)

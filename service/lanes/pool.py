@@ -1,4 +1,4 @@
-"""The lanes of this machine: placement, replacement of what dies, the watch over what hangs or grows."""
+"""The lanes of this machine: places keys, replaces lanes that die, ends lanes that hang or grow too large."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import atexit
 import contextlib
 import multiprocessing
 import time
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator
 from multiprocessing import forkserver
 from typing import Any
 
@@ -24,14 +24,15 @@ from .interface import (
     LaneUsage,
     Place,
 )
+from .limits import LaneLimits
 from .process import LaneProcess
 from .usage import cpu_s, rss_bytes
 
 WATCH_EVERY_S = 0.1
 BALANCE_EVERY_S = 0.5
 STOP_S = 2.0
-# A lane that lives shorter than this crashes in a row with the one before. The first two are replaced at
-# once; from then on each doubles the wait.
+# A lane that lives shorter than this counts as crashing in a row with the one before. The first two of a row are
+# replaced at once; from then on each doubles the wait.
 STEADY_S = 2.0
 PATIENCE = 2
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.1, 10.0
@@ -44,14 +45,14 @@ class LanePool:
         self,
         count: int,
         keys_per_lane: int,
-        config: Mapping[str, Any],
+        limits: LaneLimits,
         *,
         deadline_s: float,
         start_timeout_s: float,
         max_rss_bytes: int,
     ) -> None:
         self._keys_per_lane = keys_per_lane
-        self._config = config
+        self._limits = limits
         self._deadline_s = deadline_s
         self._start_timeout_s = start_timeout_s
         self._max_rss_bytes = max_rss_bytes
@@ -60,7 +61,7 @@ class LanePool:
         self._lanes: list[LaneProcess] = [self._new(number) for number in range(count)]
         self._crashes = [0] * count
         self._homes: dict[str, LaneProcess] = {}
-        # Keys without a lane: the number of the lane where a place is kept for them, and what became of theirs.
+        # Keys without a lane: the number of the lane in which a place is kept for each, and why its lane was lost.
         self._displaced: dict[str, tuple[int, str]] = {}
         self._changed = asyncio.Event()
         self._events: asyncio.Queue[LaneEvent] = asyncio.Queue()
@@ -71,7 +72,7 @@ class LanePool:
     async def start(self) -> None:
         """Begin to start all lanes."""
         self._context.set_forkserver_preload(["service.lanes.forkserver"])
-        # Without this an interpreter that ends without stop() would wait for its workers for ever.
+        # Without this, an interpreter that ends without stop() would wait for its workers for ever.
         atexit.register(self._kill_all)
         for lane in self._lanes:
             self._spawn(self._begin(lane))
@@ -95,7 +96,7 @@ class LanePool:
         self._settle(key, owner, lane)
 
     def move(self, key: str, lane: int) -> bool:
-        """Give ``key`` a place in that lane, if it has one to give."""
+        """Move the place of ``key`` to that lane; return False if it has none free."""
         before, after = self._homes.get(key), self._lanes[lane]
         if before is None or before is after or after not in self._with_room():
             return False
@@ -106,10 +107,10 @@ class LanePool:
         return True
 
     async def regain(self, key: str, owner: str) -> Place:
-        """A place again for a key whose lane was lost, or that comes from another process. Raises LaneLost.
+        """Wait for a place for a key whose lane was lost, or that comes from another process. Raises LaneLost.
 
-        The place is kept in the lane that takes the lost one's place, so that load stays spread; only if
-        that one keeps dying, any other will do.
+        A place is kept in the lane that replaces the lost one, so that load stays spread. If that lane keeps dying, or
+        has become full, any other lane serves.
         """
         if key in self._homes:
             return Place(self._homes[key].number, "")
@@ -131,11 +132,11 @@ class LanePool:
                 raise LaneLost("released")
 
     def holds(self, key: str) -> bool:
-        """Whether ``key`` has a place in a lane."""
+        """Return whether ``key`` has a place in a lane."""
         return key in self._homes
 
     async def call(self, key: str, request: Buffers) -> bytes | memoryview:
-        """One operation in the key's lane. Raises LaneLost."""
+        """Do one operation in the key's lane and return the reply. Raises LaneLost."""
         lane = self._homes.get(key)
         if lane is None:
             raise LaneLost("absent")
@@ -151,32 +152,32 @@ class LanePool:
         self._changed.set()
 
     async def events(self) -> AsyncIterator[LaneEvent]:
-        """What happens to lanes; for one reader."""
+        """Yield what happens to lanes; for one reader."""
         while True:
             yield await self._events.get()
 
     def status(self) -> list[LaneStatus]:
-        """Every lane."""
+        """Return the state of every lane."""
         return [
             LaneStatus(lane.number, lane.ready, self._failing(lane.number), len(lane.keys), lane.versions)
             for lane in self._lanes
         ]
 
     def usage(self) -> list[LaneUsage]:
-        """What every lane uses."""
+        """Return what every lane uses."""
         return [LaneUsage(lane.number, rss_bytes(lane.pid), cpu_s(lane.pid)) for lane in self._lanes]
 
     def _load(self) -> list[int]:
-        """Keys of each lane, those that wait for it among them."""
+        """Return the number of keys of each lane, including those that wait for it."""
         load = [len(lane.keys) for lane in self._lanes]
         for number, _ in self._displaced.values():
             load[number] += 1
         return load
 
     def _work(self) -> list[float]:
-        """What each lane has to do: of each of its keys what it has used lately, and half its part at least.
+        """Return the work of each lane: the sum of what its keys have used of late.
 
-        The part of a key that has not begun, or pauses, is that of a place.
+        Each key counts for at least half of an even share, because one that pauses, or has not begun, may need it soon.
         """
         least = 0.5 / self._keys_per_lane
         work = [least * keys for keys in self._load()]
@@ -186,12 +187,12 @@ class LanePool:
         return work
 
     def _with_room(self) -> list[LaneProcess]:
-        """The lanes that are ready and have a place that nobody waits for."""
+        """Return the lanes that are ready and have a place for which no key waits."""
         load = self._load()
         return [lane for lane in self._lanes if lane.ready and load[lane.number] < self._keys_per_lane]
 
     def _idlest(self) -> LaneProcess | None:
-        """The lane with room that has the least to do."""
+        """Return the lane with room that has the least work."""
         work = self._work()
         return min(self._with_room(), key=lambda lane: work[lane.number], default=None)
 
@@ -200,7 +201,7 @@ class LanePool:
         self._homes[key] = lane
 
     def _failing(self, number: int) -> bool:
-        """Whether the lane of this number has died again and again, and the newest has not proved itself."""
+        """Return whether the lane of this number has died again and again, and the newest has not yet proved itself."""
         lane = self._lanes[number]
         return self._crashes[number] > PATIENCE and not (lane.ready and lane.lasted_s() > STEADY_S)
 
@@ -215,9 +216,9 @@ class LanePool:
     async def _begin(self, lane: LaneProcess, wait_s: float = 0.0) -> None:
         await asyncio.sleep(wait_s)
         try:
-            # Here, because the fork server dies with the thread that starts it (see orphans).
+            # Here, because the fork server dies with the thread that starts it (see die_with_parent).
             forkserver.ensure_running()
-            await lane.start(self._context, self._config)
+            await lane.start(self._context, self._limits)
         except (OSError, EOFError):
             lane.kill()
             self._lost(lane, "start")
@@ -254,7 +255,7 @@ class LanePool:
                     lane.kill()
 
     async def _balance(self) -> None:
-        """Say which key should move while one lane is full and another idle."""
+        """Announce which key should move while one lane is full and another idle."""
         while True:
             await asyncio.sleep(BALANCE_EVERY_S)
             now = time.monotonic()

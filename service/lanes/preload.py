@@ -1,7 +1,7 @@
-"""What a lane works with, ready: the tracker, its kernels compiled and warm, and the decoders.
+"""Loads and warms all that a lane works with: the tracker, its compiled kernels, and the decoders.
 
-Importing this module does the work, for the process that imports it: the fork server, of which every lane
-is a fork that starts in milliseconds, and whoever measures a lane's work without one.
+The import itself does the work. The fork server imports this, so that every lane, which is a fork of it, starts in
+milliseconds; measurements of a lane's work without a process import it, too.
 """
 
 # ruff: noqa: E402
@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import os
 
-# Before the libraries load: a second thread doubles the CPU time of a frame and gains nothing, and no
-# decoder may open what the header check would refuse (its limit can be set no higher than this).
+# Set before the libraries load. A second thread doubles the CPU time of a frame and gains nothing; and no decoder may
+# open an image that the header check would refuse (the setting cannot be higher than this).
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"
 os.environ["OPENCV_IO_MAX_IMAGE_PIXELS"] = str(1 << 26)

@@ -1,4 +1,4 @@
-"""One lane: a worker process, the socket to it, and the order in which calls go in."""
+"""One lane: a worker process, the socket to it, and the order in which calls enter."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import socket
 import struct
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.context import ForkServerContext, ForkServerProcess
-from typing import Any, cast
+from typing import cast
 
 import msgpack
 
@@ -18,19 +18,19 @@ from . import worker
 from .fair_queue import FairOwnerQueue
 from .framing import HELLO, NO_REPLY, TOOK, FramingError, Splitter, encode_call, framed
 from .interface import Buffers, LaneLost
+from .limits import LaneLimits
 
-# While the lane works on a short call the next is already in its socket, so that it never waits for the front.
+# While the lane works on a short call, the next one is already in its socket, so that it never waits for the front.
 PIPELINE = 2
-# Behind a longer one nothing is sent: who comes next is decided when it is done, and the hand-over costs little
-# beside it. A call is taken to be as long as the longest of its key lately, in processor time, and long where
-# nothing is known.
+# Behind a long call nothing is sent: which call is next is decided when it is done, and the hand-over costs little in
+# comparison. A call counts as long as the longest recent one of its key, in processor time; the first counts as long.
 SHORT_S, SHORT_BYTES = 0.01, 512 * 1024
-FORGOTTEN = 0.7
+DECAY = 0.7
 
 
 @dataclass(slots=True)
-class Call:
-    """An operation on its way."""
+class PendingCall:
+    """A call that waits for its reply."""
 
     owner: str
     key: str
@@ -39,7 +39,7 @@ class Call:
 
 
 class LaneProcess(asyncio.Protocol):
-    """From the start of a worker process to its end; never restarted, only replaced."""
+    """A worker process from its start to its end. It is never restarted, only replaced."""
 
     def __init__(
         self,
@@ -50,7 +50,7 @@ class LaneProcess(asyncio.Protocol):
         on_used: Callable[[str, float], None],
     ) -> None:
         self.number = number
-        self.keys: dict[str, str] = {}  # and their owners
+        self.keys: dict[str, str] = {}  # with their owners
         self.ready = False
         self.lost = False
         self.versions: dict[str, str] = {}
@@ -59,9 +59,9 @@ class LaneProcess(asyncio.Protocol):
         self._on_ready = on_ready
         self._on_lost = on_lost
         self._on_used = on_used
-        self._queue: FairOwnerQueue[Call] = FairOwnerQueue()
+        self._queue: FairOwnerQueue[PendingCall] = FairOwnerQueue()
         self._expected: dict[str, float] = {}
-        self._in_flight: deque[tuple[int, Call]] = deque()
+        self._in_flight: deque[tuple[int, PendingCall]] = deque()
         self._working_since = 0.0
         self._cause = "died"
         self._calls = 0
@@ -69,21 +69,21 @@ class LaneProcess(asyncio.Protocol):
         self._transport: asyncio.WriteTransport | None = None
         self._process: ForkServerProcess | None = None
 
-    async def start(self, context: ForkServerContext, config: Mapping[str, Any]) -> None:
+    async def start(self, context: ForkServerContext, limits: LaneLimits) -> None:
         """Fork the worker. The first fork waits for the fork server to load and warm the tracker."""
         self.since = time.monotonic()
         ours, theirs = socket.socketpair()
         with theirs:
-            # multiprocessing pickles these arguments for its own child at the start; nothing is later.
+            # multiprocessing pickles these arguments for its own child at the start; nothing is pickled later.
             process = context.Process(
-                target=worker.main, args=(theirs, dict(config)), name=f"mfcmt-lane-{self.number}", daemon=True
+                target=worker.main, args=(theirs, limits), name=f"mfcmt-lane-{self.number}", daemon=True
             )
             await asyncio.to_thread(process.start)
         self._process = process
         await asyncio.get_running_loop().create_unix_connection(lambda: self, sock=ours)
 
     def lasted_s(self) -> float:
-        """Seconds in the state that it is in: starting, or ready."""
+        """Return the seconds that the lane has been starting, or ready."""
         return time.monotonic() - self.since
 
     @property
@@ -92,18 +92,18 @@ class LaneProcess(asyncio.Protocol):
         return self._process.pid if self._process else None
 
     def call(self, key: str, request: Buffers) -> asyncio.Future[bytes | memoryview]:
-        """Queue one operation; the future is its reply or LaneLost."""
+        """Queue one operation and return the future of its reply; its exception is LaneLost."""
         answer: asyncio.Future[bytes | memoryview] = asyncio.get_running_loop().create_future()
         if self.lost:
             answer.set_exception(LaneLost(self._cause))
         else:
             owner = self.keys[key]
-            self._queue.push(owner, key, Call(owner, key, request, answer))
+            self._queue.push(owner, key, PendingCall(owner, key, request, answer))
             self._dispatch()
         return answer
 
     def forget(self, key: str) -> None:
-        """Drop what the lane holds for ``key``, behind the operation that is in work."""
+        """Have the lane drop its state for ``key``, behind the operation in work."""
         self._expected.pop(key, None)
         for call in self._queue.forget(self.keys.pop(key), key):
             _fail(call, LaneLost("released"))
@@ -111,11 +111,11 @@ class LaneProcess(asyncio.Protocol):
             self._transport.writelines(framed(NO_REPLY, encode_call("drop", key, {})))
 
     def overdue_s(self) -> float:
-        """Seconds since the operation in work began; 0 when there is none."""
+        """Return the seconds since the operation in work began, 0 if there is none."""
         return time.monotonic() - self._working_since if self._in_flight else 0.0
 
     def kill(self, cause: str = "died") -> None:
-        """End the worker at once; the first ``cause`` is the one that is told."""
+        """End the worker at once. The first ``cause`` is the one that is reported."""
         if self._cause == "died":
             self._cause = cause
         if self._process is not None and self._process.pid is not None:
@@ -132,12 +132,12 @@ class LaneProcess(asyncio.Protocol):
                 await asyncio.to_thread(self._process.join, timeout_s)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """The socket is ours; the worker will say hello."""
-        # Nothing is held back: what may be in the socket is bounded by PIPELINE.
+        """Keep the socket to write to; the worker will say hello."""
+        # No flow control is needed: PIPELINE bounds what may be in the socket.
         self._transport = cast(asyncio.WriteTransport, transport)
 
     def data_received(self, data: bytes) -> None:
-        """Replies."""
+        """Take the replies of the worker."""
         try:
             for call, payload in self._splitter.feed(data):
                 if call == HELLO:
@@ -149,7 +149,7 @@ class LaneProcess(asyncio.Protocol):
             self.kill()
 
     def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002
-        """The worker has died or was told to stop: every call fails, at once."""
+        """Fail every call: the worker has died or was told to stop."""
         self.lost, self.ready = True, False
         calls = [call for _, call in self._in_flight]
         if calls:
@@ -170,13 +170,13 @@ class LaneProcess(asyncio.Protocol):
 
     def _reply(self, number: int, took: float, payload: bytes | memoryview) -> None:
         if not self._in_flight or self._in_flight[0][0] != number:
-            raise FramingError("a reply out of order")
+            raise FramingError("a reply is out of order")
         _, call = self._in_flight.popleft()
         now = time.monotonic()
         used = now - self._working_since
         self._working_since = now
         if call.key in self.keys:
-            self._expected[call.key] = max(took, FORGOTTEN * self._expected.get(call.key, 0.0))
+            self._expected[call.key] = max(took, DECAY * self._expected.get(call.key, 0.0))
             self._on_used(call.key, used)
         self._queue.charge(call.owner, call.key, used)
         if not call.answer.done():
@@ -195,7 +195,7 @@ class LaneProcess(asyncio.Protocol):
             self._transport.writelines(framed(self._calls, call.request))
 
     def _takes_more(self) -> bool:
-        """Whether another call may be sent: nothing is in work, or one that will not take long."""
+        """Return whether another call may be sent: the lane is idle, or works on a call that will be short."""
         if not self._in_flight:
             return True
         _, call = self._in_flight[-1]
@@ -206,6 +206,6 @@ class LaneProcess(asyncio.Protocol):
         )
 
 
-def _fail(call: Call, error: Exception) -> None:
+def _fail(call: PendingCall, error: Exception) -> None:
     if not call.answer.done():
         call.answer.set_exception(error)

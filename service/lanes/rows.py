@@ -1,9 +1,9 @@
-"""Results as rows of plain values: what travels from a lane and what the front keeps of the past."""
+"""Results of the tracker as rows of plain values, response maps as images, and rectangles of pixels."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from operator import attrgetter
 
 import cv2
 import numpy as np
@@ -11,42 +11,39 @@ import numpy.typing as npt
 
 from mfcmt_core import Flags, Scores, TrackResult
 
+from ..protocol.target import ROW_FIELDS, Row, complete
+
 Rect = tuple[int, int, int, int]
+"""``(x, y, w, h)`` in whole pixels of the frame."""
+
+# A row's values but the first, the id, are the attributes of a result that have the same names.
+_values = attrgetter(*ROW_FIELDS[1:])
+_parts = attrgetter("fused", "template", "statistical")
+_FLAGS, _SCORES = ROW_FIELDS.index("flags"), ROW_FIELDS.index("scores")
 
 
-def to_row(tid: int, said: TrackResult) -> list[Any]:
-    """``[id, box, status, reliable, flags, scores, psr, updated, scale]``."""
-    flags, scores = said.flags, said.scores
-    return [
-        tid,
-        said.box,
-        said.status,
-        said.reliable,
-        flags and (flags.fused, flags.template, flags.statistical),
-        scores and (scores.fused, scores.template, scores.statistical),
-        said.psr,
-        said.updated,
-        said.scale,
-    ]
+def to_row(target_id: int, result: TrackResult) -> Row:
+    """Return the row of a result; see :mod:`service.protocol.target`."""
+    row = [target_id, *_values(result)]
+    for at in (_FLAGS, _SCORES):
+        if row[at] is not None:
+            row[at] = _parts(row[at])
+    return row
 
 
-def from_row(row: list[Any]) -> TrackResult:
-    """The result that :func:`to_row` wrote."""
-    _, (x, y, w, h), status, reliable, flags, scores, psr, updated, scale = row
+def from_row(row: Row) -> TrackResult:
+    """Return the result that :func:`to_row` wrote, now or in an earlier version."""
+    values = dict(zip(ROW_FIELDS, complete(row), strict=True))
+    del values["id"]
+    flags, scores = values["flags"], values["scores"]
+    x, y, w, h = values["box"]
     return TrackResult(
-        (x, y, w, h),
-        status,
-        reliable,
-        flags and Flags(*flags),
-        scores and Scores(*scores),
-        psr,
-        updated,
-        scale,
+        **values | {"box": (x, y, w, h), "flags": flags and Flags(*flags), "scores": scores and Scores(*scores)}
     )
 
 
 def map_images(maps: dict[str, npt.NDArray[np.float32]] | None) -> dict[str, bytes]:
-    """Response maps as grey PNG images, the peak of each at 255."""
+    """Return response maps as gray PNG images in which the peak of each map has the value 255."""
     images = {}
     for name, values in (maps or {}).items():
         peak = float(values.max()) or 1.0
@@ -56,7 +53,7 @@ def map_images(maps: dict[str, npt.NDArray[np.float32]] | None) -> dict[str, byt
 
 
 def union(rects: Iterable[Rect]) -> Rect | None:
-    """The smallest rectangle around all; None around none."""
+    """Return the smallest rectangle that covers all of ``rects``, None if there are none."""
     corners = [(x, y, x + w, y + h) for x, y, w, h in rects]
     if not corners:
         return None
@@ -66,7 +63,7 @@ def union(rects: Iterable[Rect]) -> Rect | None:
 
 
 def covers(outer: Rect, inner: Rect) -> bool:
-    """Whether no pixel of ``inner`` is outside ``outer``."""
+    """Return whether every pixel of ``inner`` lies in ``outer``."""
     return (
         outer[0] <= inner[0]
         and outer[1] <= inner[1]

@@ -1,4 +1,4 @@
-"""Memory and CPU time of a process, from /proc; zeros where there is none."""
+"""Memory and CPU time of a process, read from /proc; zeros on systems without it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def rss_bytes(pid: int | None) -> int:
-    """Resident memory in bytes, what it shares with the fork server included."""
+    """Return the resident memory in bytes, including what the process shares with the fork server."""
     try:
         return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except (OSError, IndexError, ValueError):
@@ -15,7 +15,7 @@ def rss_bytes(pid: int | None) -> int:
 
 
 def cpu_s(pid: int | None) -> float:
-    """CPU time in seconds, user and system, since the process began."""
+    """Return the CPU time in seconds, user and system, since the process began."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

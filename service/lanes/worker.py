@@ -9,23 +9,22 @@ import contextlib
 import socket
 import traceback
 from time import process_time
-from typing import Any
 
 import msgpack
 
+from .confine import confine, die_with_parent
 from .framing import HELLO, NO_REPLY, BlockingWire, decode_call, encode_reply
-from .orphans import die_with_parent
+from .limits import LaneLimits
 
 
-def main(sock: socket.socket, config: dict[str, Any]) -> None:
+def main(sock: socket.socket, limits: LaneLimits) -> None:
     """Serve ``sock`` until it ends."""
-    die_with_parent()  # the fork server, which dies with the front, even if this computes for ever
-    from .confine import confine
-    from .frame_view import Refused
+    die_with_parent()  # with the fork server, which dies with the front, even if an operation never ends
+    from ..protocol.problems import ProblemError
     from .operations import LaneOperations, versions
 
     wire = BlockingWire(sock)
-    store = LaneOperations(config)
+    operations = LaneOperations(limits)
     hello = {"versions": versions(), "confined": confine()}
     with contextlib.suppress(EOFError, ConnectionError):
         wire.send(HELLO, msgpack.packb(hello))
@@ -33,11 +32,11 @@ def main(sock: socket.socket, config: dict[str, Any]) -> None:
             call, payload = wire.receive()
             began = process_time()
             try:
-                reply = encode_reply(None, store.handle(*decode_call(payload)))
-            except Refused as refused:
+                reply = encode_reply(None, operations.handle(*decode_call(payload)))
+            except ProblemError as refused:
                 reply = encode_reply(refused.code, [refused.detail, refused.members])
             except Exception:
-                # Where it happened is for the front's log, never for the client.
+                # The traceback is for the front's log, never for the client.
                 reply = encode_reply("internal", [traceback.format_exc(), {}])
             if call != NO_REPLY:
                 wire.send(call, reply, process_time() - began)

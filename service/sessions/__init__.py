@@ -1,1 +1,1 @@
-"""The registry of sessions: who owns what, where it lives, what it has seen, when it ends."""
+"""The sessions: who owns them, where their state is, what they have seen, and when they end."""

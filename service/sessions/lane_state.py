@@ -1,4 +1,4 @@
-"""A session's state in a lane, which outlives the lane."""
+"""The state of a session in a lane, which survives the loss of the lane."""
 
 from __future__ import annotations
 
@@ -12,29 +12,33 @@ import structlog
 from ..lanes.framing import decode_reply
 from ..lanes.interface import LaneLost, Lanes
 from ..observability.metrics import Metrics
+from ..protocol.enums import LaneLoss, ProblemCode
 from ..protocol.problems import ProblemError
 from ..settings import Settings
 from .replay_log import Operation, RecoveryBudget, ReplayLog
 
-# One object: a session whose checkpoint ends two lanes is as poisonous as a frame that does.
+# One object, so that a session whose checkpoint ends two lanes is recognised like a frame that does.
 CHECKPOINT = Operation("checkpoint", {})
-# What may have changed the state: a control that is refused for want of pixels asks for a whole frame.
-CHANGING = (None, "full-frame-needed")
+# The answers after which the state may have changed: a control that lacks pixels makes the region the whole frame.
+CHANGING = (None, ProblemCode.FULL_FRAME_NEEDED)
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.recovery")
 
 
 class RestoreSlots(dict[int, asyncio.Semaphore]):
-    """Who restores in a lane: side by side all would be late, and one alone would leave the lane waiting."""
+    """For each lane, the slots for sessions that are restored in it.
+
+    If all were restored side by side, all would be late; one at a time would leave the lane waiting.
+    """
 
     def __missing__(self, lane: int) -> asyncio.Semaphore:
         return self.setdefault(lane, asyncio.Semaphore(2))
 
 
 class Poisoned(Exception):
-    """One operation has ended two lanes in a row, or the state cannot be read; the text may be shown.
+    """One operation has ended two lanes in a row, or the state cannot be read. The text may be shown to clients.
 
-    ``late``: the lanes did not die by themselves, the operation took too long.
+    ``late`` is True if the lanes did not die by themselves, but the operation took too long.
     """
 
     def __init__(self, detail: str, *, late: bool = False) -> None:
@@ -43,9 +47,9 @@ class Poisoned(Exception):
 
 
 class LaneState:
-    """Its methods are called one at a time.
+    """Keeps a session's state in some lane. Its methods are called one at a time.
 
-    They raise LaneLost when the key is released, Poisoned, and at-capacity if no lane becomes ready.
+    They raise LaneLost if the key is released, Poisoned, and at-capacity if no lane becomes ready.
     """
 
     def __init__(
@@ -64,14 +68,14 @@ class LaneState:
         self._settings, self._metrics = settings, metrics
         self._suspect: Operation | None = None
         self._outcome_unknown = False
-        # So early that a checkpoint is on disk before the one before it is older than is said.
+        # At three quarters of the interval, so that the newest checkpoint on disk is never older than the interval.
         self._every = max(1, settings.checkpoint_every_frames - settings.checkpoint_every_frames // 4)
-        # Sessions that began together should not all take their checkpoints at the same frame.
+        # Sessions that began together take their checkpoints at different frames.
         self._frames_until_checkpoint = 1 + crc32(key.encode()) % self._every
 
     @property
     def checkpoint_due(self) -> str | None:
-        """Why a checkpoint is to be taken now, if one is."""
+        """Why a checkpoint should be taken now; None if it should not."""
         if len(self.replay_log.operations) >= self._frames_until_checkpoint:
             return "frames"
         if 2 * self.replay_log.bytes >= self._settings.max_replay_bytes:
@@ -80,31 +84,32 @@ class LaneState:
 
     @property
     def has_lane(self) -> bool:
-        """Whether a lane has a place for it."""
+        """Whether the session has a place in a lane."""
         return self._lanes.holds(self._key)
 
     async def call(self, operation: Operation, *, changes: bool) -> tuple[str | None, Any]:
-        """The lane's answer; if the lane is lost, that of the one in which the state is restored.
+        """Do an operation in the lane, or in the next one if it is lost, and return ``code, value`` of the reply.
 
-        With ``changes`` the operation is made again whenever the state is restored, unless it was refused.
+        With ``changes`` the operation is part of the state from now on, unless it was refused: whenever the state is
+        restored, it is done again.
         """
         replay_log = self.replay_log
         if changes and replay_log.operations and replay_log.bytes + operation.bytes > self._settings.max_replay_bytes:
             await self.checkpoint("bytes")
         await self._roll_back_if_unknown()
-        # Given up or broken off, an operation may be done, half done or not done; it shall not be.
+        # If this call is cancelled, it is unknown what it did; the next call rolls it back.
         self._outcome_unknown = changes
-        code, value = await self._call_with_recovery(operation)
-        self._outcome_unknown = changes and code == "internal"
+        code, value = await self._send(operation)
+        self._outcome_unknown = changes and code == ProblemCode.INTERNAL
         if changes and code in CHANGING:
             replay_log.append(operation)
         return code, value
 
     async def checkpoint(self, reason: str) -> None:
-        """Keep the state as it is now in place of what led to it."""
+        """Replace the replay log by the state as it is now."""
         started = time.monotonic()
         await self._roll_back_if_unknown()
-        code, value = await self._call_with_recovery(CHECKPOINT)
+        code, value = await self._send(CHECKPOINT)
         if code is not None:
             log.error("fault in a lane", session=self._key, op="checkpoint", fault=value[0])
             return
@@ -113,11 +118,11 @@ class LaneState:
         self._metrics.checkpoint(reason, len(value), time.monotonic() - started)
 
     async def move(self, lane: int) -> None:
-        """Go on in another lane from the newest checkpoint, if there is room for it."""
+        """Restore the state in another lane, if there is room for it."""
         if not self._lanes.move(self._key, lane):
             return
         started, frames = time.monotonic(), len(self.replay_log.operations)
-        self._outcome_unknown = True  # until it is there: broken off, the move is made up for by the next operation
+        self._outcome_unknown = True  # if the move is cancelled, the next operation completes it
         await self._restore()
         self._outcome_unknown = False
         self._metrics.moves.inc()
@@ -125,7 +130,7 @@ class LaneState:
         log.info("session moved", session=self._key, lane=lane, frames=frames, seconds=seconds)
 
     async def recover(self, cause: str = "") -> None:
-        """Restore the state in a lane, as soon as one is ready; ``cause`` is told where no lane was lost."""
+        """Restore the state in a lane, as soon as one is ready. ``cause`` is reported if no lane was lost."""
         started = time.monotonic()
         cause = await self._restore() or cause
         if self.replay_log.checkpoint is not None:
@@ -134,7 +139,7 @@ class LaneState:
             log.info("session restored", session=self._key, cause=cause, frames=frames, seconds=round(seconds, 4))
 
     async def _restore(self) -> str:
-        """Make the state again in the lane that has a place for it; what became of its lane before, if it was lost."""
+        """Replay the log in a lane with a place for the session; return why the lane before was lost, if it was."""
         while True:
             try:
                 async with asyncio.timeout(self._settings.recovery_timeout_s):
@@ -143,51 +148,52 @@ class LaneState:
                     await self._replay()
                 return place.cause
             except TimeoutError:
-                raise ProblemError("at-capacity", "no lane is ready for the session", retry_after_s=1.0) from None
+                detail = "no lane is ready for the session"
+                raise ProblemError(ProblemCode.AT_CAPACITY, detail, retry_after_s=1.0) from None
             except LaneLost as lost:
-                if lost.cause == "released":
+                if lost.cause == LaneLoss.RELEASED:
                     raise
 
     async def _roll_back_if_unknown(self) -> None:
-        """If it is not sure what the last operation has done, go back to before it."""
+        """Go back to before the last operation, if it is unknown what that has done."""
         if self._outcome_unknown:
             await self.recover("fault")
             self._outcome_unknown = False
 
-    async def _call_with_recovery(self, operation: Operation) -> tuple[str | None, Any]:
-        while True:
-            try:
-                return await self._send_once(operation)
-            except LaneLost as lost:
-                if lost.cause == "released":
-                    raise
-                await self.recover()
-
     async def _replay(self) -> None:
-        base = self.replay_log.checkpoint
-        if base is None:
+        checkpoint = self.replay_log.checkpoint
+        if checkpoint is None:
             return
-        code, value = await self._send_once(base)
+        code, value = await self._send(checkpoint, recover=False)
         if code is not None:
-            log.error("session cannot be restored", session=self._key, op=base.op, code=code, detail=value[0])
+            op, detail = checkpoint.op, value[0]
+            log.error("session cannot be restored", session=self._key, op=op, code=code, detail=detail)
             raise Poisoned("its state cannot be restored")
         for operation in self.replay_log.operations:
-            await self._send_once(operation)
+            await self._send(operation, recover=False)
 
-    async def _send_once(self, operation: Operation) -> tuple[str | None, Any]:
-        try:
-            reply = await self._lanes.call(self._key, operation.request(self._key))
-        except LaneLost as lost:
-            if lost.in_work and lost.cause != "released":
+    async def _send(self, operation: Operation, *, recover: bool = True) -> tuple[str | None, Any]:
+        """Send an operation and return ``code, value`` of the reply; with ``recover``, again if the lane is lost."""
+        while True:
+            try:
+                reply = await self._lanes.call(self._key, operation.request(self._key))
+            except LaneLost as lost:
+                if lost.cause == LaneLoss.RELEASED:
+                    raise
+                if lost.in_work:
+                    if self._suspect is operation:
+                        late = lost.cause == LaneLoss.HUNG
+                        raise Poisoned(_describe_poison(operation, late), late=late) from lost
+                    self._suspect = operation
+                if not recover:
+                    raise
+                await self.recover()
+            else:
                 if self._suspect is operation:
-                    raise Poisoned(_poison(operation, lost), late=lost.cause == "hung") from lost
-                self._suspect = operation
-            raise
-        if self._suspect is operation:
-            self._suspect = None
-        return decode_reply(reply)
+                    self._suspect = None
+                return decode_reply(reply)
 
 
-def _poison(operation: Operation, lost: LaneLost) -> str:
+def _describe_poison(operation: Operation, late: bool) -> str:
     what = f"frame {operation.args['seq']}" if operation.op == "track" else f"the {operation.op}"
-    return f"{what} took too long twice" if lost.cause == "hung" else f"{what} ended its worker twice"
+    return f"{what} took too long twice" if late else f"{what} ended its worker twice"

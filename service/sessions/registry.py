@@ -1,49 +1,62 @@
-"""The registry: every session, who owns it, when it ends and what is remembered of it."""
+"""The registry of sessions: finds, makes and ends them, and remembers for a while those that have ended."""
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import secrets
 import time
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 
 import structlog
 
-from ..lanes.interface import AtCapacity, KeysLost, LaneCrowded, Lanes
+from ..lanes.interface import KeysLost, LaneCrowded, Lanes
 from ..observability.metrics import Metrics
-from ..protocol.problems import NO_LANE, NO_PLACE, ProblemError, session_gone, session_not_found
+from ..protocol.answers import Draining, message
+from ..protocol.enums import CloseCode, EndReason, ProblemCode
+from ..protocol.problems import ProblemError, session_gone, session_not_found
+from ..protocol.requests import Options
 from ..settings import Settings
+from .admission import Admission, KeyQuotas
 from .idempotency import IdempotentCreations
-from .quotas import KeyQuotas
-from .session import Attachment, Options, Session
-from .store import SessionStore, created_at_of, options_of
+from .session import AttachedStream, Session
+from .store import SessionRecord, SessionStore
 from .ttl_cache import TTLCache
 
 SWEEP_EVERY_S = 0.5
 ID_BYTES = 18
-# How a stream is closed when its session ends.
-CLOSE_CODES = {"closed": 1000, "idle": 4408, "expired": 4410, "lost": 4410}
+CLOSE_OF_END = {
+    EndReason.CLOSED: CloseCode.SESSION_CLOSED,
+    EndReason.IDLE: CloseCode.IDLE,
+    EndReason.EXPIRED: CloseCode.SESSION_GONE,
+    EndReason.LOST: CloseCode.SESSION_GONE,
+}
+"""How a stream is closed when its session ends."""
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.sessions")
 
 
 @dataclass(frozen=True, slots=True)
 class Tombstone:
-    """What is left of a session."""
+    """Says of a session that has ended whose it was and why it ended."""
 
     owner: str
-    reason: str
+    reason: EndReason
     detail: str = ""
 
 
 class SessionRegistry:
     """All sessions of the service.
 
-    ``clock`` gives seconds of a monotonic clock, ``owners`` how many there are that keys stand for.
+    Parameters
+    ----------
+    settings, lanes, metrics
+        Those of the service.
+    clock
+        Returns the seconds of a monotonic clock.
+    owners
+        Returns the number of owners that the keys stand for.
     """
 
     def __init__(
@@ -54,35 +67,39 @@ class SessionRegistry:
         clock: Callable[[], float] = time.monotonic,
         owners: Callable[[], int] = lambda: 1,
     ) -> None:
-        self.draining = False
-        self.shares = KeyQuotas(settings, owners)
-        self._settings, self._lanes, self._metrics, self._clock = settings, lanes, metrics, clock
+        self.quotas = KeyQuotas(settings, owners)
         self.store = SessionStore(settings, lanes, metrics)
+        self._settings, self._lanes, self._metrics, self._clock = settings, lanes, metrics, clock
         self._sessions: dict[str, Session] = {}
+        self._admission = Admission(settings, lanes, metrics, self.quotas, self.store, self._sessions, self.sweep)
         self._tombstones: TTLCache[Tombstone] = TTLCache(settings.max_tombstones, settings.tombstone_s, clock)
         self._creations = IdempotentCreations(settings.max_idempotency_keys, settings.idempotency_s, clock)
-        self._opening: Counter[str] = Counter()
         self._ordinal = 0
 
     def __len__(self) -> int:
         return len(self._sessions)
 
+    @property
+    def draining(self) -> bool:
+        """Whether new sessions are refused because the service is going away."""
+        return self._admission.draining
+
     def find(self, owner: str, sid: str) -> Session:
-        """The caller's session, which counts as used. Raises session-not-found, session-gone."""
+        """Return the caller's session and count it as used. Raises session-not-found, session-gone."""
         session = self._sessions.get(sid)
         if session is None or session.owner != owner:
-            grave = self._tombstones.get(sid)
-            if grave is None or grave.owner != owner:
+            tombstone = self._tombstones.get(sid)
+            if tombstone is None or tombstone.owner != owner:
                 raise session_not_found()
-            raise session_gone(grave.reason, grave.detail)
-        if self._overdue(session):
-            self._end(session, self._overdue(session))
+            raise session_gone(tombstone.reason, tombstone.detail)
+        if (reason := self._overdue(session)) is not None:
+            self.end(session, reason)
             return self.find(owner, sid)
         session.touch()
         return session
 
     def list_owned(self, owner: str, after: int, limit: int) -> tuple[list[Session], int | None]:
-        """The caller's sessions in the order of their making, and where the next page begins."""
+        """Return a page of the caller's sessions, oldest first, and the number after which the next page begins."""
         mine = [s for s in self._sessions.values() if s.owner == owner and s.ordinal > after]
         page = mine[:limit]
         return page, page[-1].ordinal if len(mine) > limit else None
@@ -90,12 +107,13 @@ class SessionRegistry:
     async def create(
         self, owner: str, data: bytes, boxes: list[list[float]], options: Options, key: str | None
     ) -> Session:
-        """A session that has started on its first frame; the same one for the same ``key`` and content."""
+        """Return a session that has started on its first frame; for the same ``key`` and content, the same one."""
 
         async def make() -> str:
-            session = self._open(owner, options)
-            with self._undone_on_error(session):
-                await session.begin(data, boxes)
+            session = self._new(owner, options)
+            with self._admission.place(session):
+                await session.start(data, boxes)
+                self._add(session)
             return session.id
 
         return self.find(owner, await self._creations.once(owner, key, data, repr((boxes, options)), make))
@@ -103,109 +121,118 @@ class SessionRegistry:
     async def repeated(
         self, owner: str, data: bytes, boxes: list[list[float]], options: Options, key: str | None
     ) -> asyncio.Future[str] | None:
-        """The session that :meth:`create` makes or has made with the same key and content; None if it is the first.
+        """Return the future of the session that :meth:`create` makes or made for this key; None for the first call.
 
-        Raises bad-request for a key that was used with others.
+        Raises bad-request for a key that came before with other content.
         """
         return await self._creations.repeated(owner, key, data, repr((boxes, options)))
 
     async def restore(self, owner: str, snapshot: bytes, key: str | None) -> Session:
-        """A session that goes on from a snapshot's contents, under a new id; the same one for the same ``key``."""
+        """Return a session with a new id that goes on from a snapshot; for the same ``key``, the same one."""
 
         async def make() -> str:
-            session = self._open(owner, Options("default", "reject", None, False, self._settings.idle_timeout_s))
-            with self._undone_on_error(session):
-                told = await session.resume(snapshot)
-                idle_s = self._longest_idle(told["idle_timeout_s"])
-                session.options = Options(told["preset"], told["on_resize"], told["label"], told["maps"], idle_s)
+            session = self._new(owner, Options())
+            with self._admission.place(session):
+                options = await session.restore(snapshot)
+                session.options = self._within_limits(options)
                 self.store.save(session)
+                self._add(session)
             return session.id
 
         return self.find(owner, await self._creations.once(owner, key, snapshot, "snapshot", make))
 
-    def end(self, session: Session, reason: str) -> None:
-        """End a session: ``closed``, ``idle``, ``expired`` or ``lost``."""
-        self._end(session, reason)
-
     def close(self, owner: str, sid: str) -> None:
-        """End the caller's session; nothing more if it has ended already. Raises session-not-found."""
+        """End the caller's session, if it has not ended yet. Raises session-not-found."""
         try:
             session = self.find(owner, sid)
         except ProblemError as gone:
-            if gone.code != "session-gone":
+            if gone.code != ProblemCode.SESSION_GONE:
                 raise
         else:
-            self._end(session, "closed")
+            self.end(session, EndReason.CLOSED)
+
+    def end(self, session: Session, reason: EndReason, detail: str = "") -> None:
+        """End a session and its stream."""
+        session.ended = reason
+        self._sessions.pop(session.id, None)
+        self._lanes.release(session.id)
+        self.store.delete(session)
+        self._tombstones.put(session.owner, session.id, Tombstone(session.owner, reason, detail))
+        self._metrics.sessions_closed.labels(reason=reason).inc()
+        log.info("session ended", session=session.id, reason=reason, detail=detail, seq=session.seq)
+        if session.attachment is not None:
+            session.attachment.end(CLOSE_OF_END[reason], f"session ended: {detail or reason}")
 
     def expires_at(self, session: Session) -> datetime:
-        """When the session ends if nothing more comes."""
+        """Return when the session ends if it is not used again."""
         left = min(self._idle_deadline(session), session.created + self._settings.max_session_s) - self._clock()
         return datetime.now(UTC) + timedelta(seconds=max(0.0, left))
 
     async def load(self) -> None:
-        """Take up the sessions that another process has left. Raises StateDirError."""
+        """Take over the sessions that another process has left. Raises StateDirError."""
         await asyncio.to_thread(self.store.take_over)
         saved, damaged = self.store.load()
         for one in saved:
-            options = options_of(one)
-            options = replace(options, idle_timeout_s=self._longest_idle(options.idle_timeout_s))
-            session = self._session(one.id, one.owner, options, created_at_of(one))
-            self.store.restore_into(session, one)
+            record = SessionRecord.from_dict(one.front)
+            session = self._new(one.owner, self._within_limits(record.options), one.id, record.created_at)
+            self.store.restore_into(session, one, record)
             self._sessions[one.id] = session
-            session.revive()
+            session.restore_lane_state()
         for sid, owner in damaged:
-            self._tombstones.put(owner, sid, Tombstone(owner, "lost", "what was saved of it is damaged"))
+            tombstone = Tombstone(owner, EndReason.LOST, "its saved state is damaged")
+            self._tombstones.put(owner, sid, tombstone)
         if saved or damaged:
             whole = sum(one.whole for one in saved)
-            log.info("sessions taken up", sessions=len(saved), whole=whole, damaged=len(damaged))
-
-    def drain(self, reconnect_in_s: Callable[[], float]) -> None:
-        """No new sessions from now on; every stream is told, and ends when sessions outlive the process."""
-        self.draining = True
-        for attachment in self._attachments():
-            attachment.tell({"type": "draining", "reconnect_in_s": reconnect_in_s(), "resumable": self.store.durable})
-            if self.store.durable:
-                attachment.finish(1012, "service restart")
+            log.info("sessions loaded", sessions=len(saved), whole=whole, damaged=len(damaged))
 
     async def save_all(self) -> None:
-        """Write all sessions to the state directory."""
+        """Write all sessions to the state directory, if there is one."""
         await self.store.save_all(self._sessions.values())
 
+    def drain(self, reconnect_in_s: Callable[[], float]) -> None:
+        """Refuse new sessions, tell every stream, and finish those streams whose sessions outlive the process."""
+        self._admission.draining = True
+        for stream in self._streams():
+            resumable = self.store.durable
+            stream.tell(message(Draining, reconnect_in_s=reconnect_in_s(), resumable=resumable))
+            if resumable:
+                stream.finish(CloseCode.RESTART, "service restart")
+
     def streams(self) -> int:
-        """Attached streams."""
-        return len(self._attachments())
+        """Return the number of attached streams."""
+        return len(self._streams())
 
     def streams_of(self, owner: str) -> int:
-        """Attached streams of one owner."""
+        """Return the number of attached streams of one owner."""
         return sum(s.attachment is not None for s in self._sessions.values() if s.owner == owner)
 
-    def end_streams(self, code: int, reason: str, which: Callable[[Attachment], bool] = lambda _: True) -> int:
-        """Close streams, all or those chosen, and say how many; the sessions stay."""
-        chosen = [attachment for attachment in self._attachments() if which(attachment)]
-        for attachment in chosen:
-            attachment.end(code, reason)
+    def end_streams(self, code: int, reason: str, which: Callable[[AttachedStream], bool] = lambda _: True) -> int:
+        """Close all streams, or those that ``which`` chooses, and return their number. The sessions stay."""
+        chosen = [stream for stream in self._streams() if which(stream)]
+        for stream in chosen:
+            stream.end(code, reason)
         return len(chosen)
 
     def sweep(self) -> None:
-        """End what is overdue, close streams that nobody reads, forget what is old."""
+        """End sessions that are overdue, cut streams whose clients do not read, and forget what has expired."""
         now = self._clock()
         for session in list(self._sessions.values()):
-            if reason := self._overdue(session):
-                self._end(session, reason)
+            if (reason := self._overdue(session)) is not None:
+                self.end(session, reason)
             elif session.attachment is not None:
                 session.attachment.check(now)
         self._tombstones.sweep()
         self._creations.sweep()
 
     async def run_sweeper(self) -> None:
-        """Sweep, for as long as the service runs."""
+        """Sweep for as long as the service runs."""
         while True:
             await asyncio.sleep(SWEEP_EVERY_S)
             self.sweep()
 
     async def follow_lanes(self) -> None:
-        """Restore the sessions of lanes that die, and move those of full ones, for as long as the service runs."""
-        self._revive_lost()
+        """Restore the sessions of lanes that die, and move those of busy ones, for as long as the service runs."""
+        self._restore_lost()
         async for event in self._lanes.events():
             if isinstance(event, LaneCrowded):
                 if event.key in self._sessions:
@@ -216,35 +243,19 @@ class SessionRegistry:
                 log.error("lane lost", lane=event.lane, cause=event.cause, sessions=len(event.keys))
             else:
                 log.info("lane ready", lane=event.lane, confined=event.confined)
-            self._revive_lost()
+            self._restore_lost()
 
-    def _revive_lost(self) -> None:
-        """Restore the sessions that no lane has, those too that gave up waiting for one."""
+    def _restore_lost(self) -> None:
+        """Restore every session without a lane, including those that gave up waiting for one."""
         for session in self._sessions.values():
             if not session.lane.has_lane:
-                session.revive()
+                session.restore_lane_state()
 
-    def _open(self, owner: str, options: Options) -> Session:
-        """A place in a lane, taken at once or not at all, and a session around it."""
-        if self.draining:
-            raise self._unavailable("draining", self._settings.drain_grace_s)
-        self._check_quota(owner)
-        if self.store.budget.spent:
-            raise self._unavailable("at-capacity", 1.0, "no memory for another session")
-        sid = secrets.token_urlsafe(ID_BYTES)
-        try:
-            self._lanes.reserve(sid, owner)
-        except AtCapacity:
-            self.sweep()
-            try:
-                self._lanes.reserve(sid, owner)
-            except AtCapacity:
-                ready = any(lane.ready for lane in self._lanes.status())
-                raise self._unavailable("at-capacity", 1.0, NO_PLACE if ready else NO_LANE) from None
-        self._opening[owner] += 1
-        return self._session(sid, owner, options, datetime.now(UTC))
-
-    def _session(self, sid: str, owner: str, options: Options, created_at: datetime) -> Session:
+    def _new(self, owner: str, options: Options, sid: str = "", created_at: datetime | None = None) -> Session:
+        """Return a session that has not started yet, under a new id unless ``sid`` is given."""
+        if options.idle_timeout_s is None:
+            options = replace(options, idle_timeout_s=self._settings.idle_timeout_s)
+        sid, created_at = sid or secrets.token_urlsafe(ID_BYTES), created_at or datetime.now(UTC)
         self._ordinal += 1
         return Session(
             sid,
@@ -252,7 +263,7 @@ class SessionRegistry:
             options,
             self.store.lane_state(sid, owner),
             on_saveable=self.store.save,
-            on_poison=lambda session, detail: self._end(session, "lost", detail),
+            on_poison=lambda session, detail: self.end(session, EndReason.LOST, detail),
             ordinal=self._ordinal,
             created=self._clock() - max(0.0, (datetime.now(UTC) - created_at).total_seconds()),
             created_at=created_at,
@@ -261,67 +272,27 @@ class SessionRegistry:
             max_messages_per_s=self._settings.max_messages_per_s,
         )
 
-    @contextlib.contextmanager
-    def _undone_on_error(self, session: Session) -> Iterator[None]:
-        try:
-            yield
-        except BaseException as failed:
-            self._lanes.release(session.id)
-            self.store.delete(session)
-            if isinstance(failed, ProblemError) and failed.code == "session-gone":
-                # Its lane died under it: for the client there never was a session.
-                raise self._unavailable("at-capacity", 1.0, "its lane ended as the session began") from failed
-            raise
-        finally:
-            self._opening -= Counter((session.owner,))
+    def _add(self, session: Session) -> None:
         session.touch()
         self._sessions[session.id] = session
         self._metrics.sessions_created.labels(preset=session.options.preset).inc()
 
-    def _check_quota(self, owner: str) -> None:
-        """Raises over-quota for a key with as many sessions as it may have, those included that begin."""
-        most = self.shares.sessions
-        if most >= self._settings.capacity:
-            return  # there is no place beyond it anyway
-        for expired_went in (False, True):
-            if self._opening[owner] + sum(s.owner == owner for s in self._sessions.values()) < most:
-                return
-            if not expired_went:
-                self.sweep()
-        self._metrics.refused_sessions.labels(reason="over-quota").inc()
-        raise ProblemError("over-quota", f"at most {most} sessions of a key", retry_after_s=1.0)
-
-    def _unavailable(self, code: str, retry_after_s: float, detail: str = "") -> ProblemError:
-        self._metrics.refused_sessions.labels(reason=code).inc()
-        if code == "draining":
-            detail = "the service is going away"
-        return ProblemError(code, detail, retry_after_s=retry_after_s)
-
     def _idle_deadline(self, session: Session) -> float:
         if session.attachment is not None:
             return session.touched + self._settings.attached_idle_timeout_s
+        assert session.options.idle_timeout_s is not None
         return session.touched + session.options.idle_timeout_s
 
-    def _overdue(self, session: Session) -> str:
+    def _overdue(self, session: Session) -> EndReason | None:
         now = self._clock()
         if now > session.created + self._settings.max_session_s:
-            return "expired"
-        return "idle" if now > self._idle_deadline(session) and not session.busy else ""
+            return EndReason.EXPIRED
+        return EndReason.IDLE if now > self._idle_deadline(session) and not session.busy else None
 
-    def _longest_idle(self, seconds: float) -> float:
-        """The idle time that a session may have here, whatever another service or an earlier setting gave it."""
-        return min(seconds, self._settings.max_idle_timeout_s)
+    def _within_limits(self, options: Options) -> Options:
+        """Return the options of an earlier session with its idle time cut to the limit of this service."""
+        assert options.idle_timeout_s is not None
+        return replace(options, idle_timeout_s=min(options.idle_timeout_s, self._settings.max_idle_timeout_s))
 
-    def _end(self, session: Session, reason: str, detail: str = "") -> None:
-        session.ended = reason
-        self._sessions.pop(session.id, None)
-        self._lanes.release(session.id)
-        self.store.delete(session)
-        self._tombstones.put(session.owner, session.id, Tombstone(session.owner, reason, detail))
-        self._metrics.sessions_closed.labels(reason=reason).inc()
-        log.info("session ended", session=session.id, reason=reason, detail=detail, seq=session.seq)
-        if session.attachment is not None:
-            session.attachment.end(CLOSE_CODES[reason], f"session ended: {detail or reason}")
-
-    def _attachments(self) -> list[Attachment]:
+    def _streams(self) -> list[AttachedStream]:
         return [s.attachment for s in self._sessions.values() if s.attachment is not None]

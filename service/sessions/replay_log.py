@@ -1,4 +1,4 @@
-"""What brings a session's state back into a lane: its newest checkpoint and every operation since."""
+"""The log that brings a session's state back into a lane: its newest checkpoint, and every operation since."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any
 from ..lanes.framing import encode_call
 from ..lanes.interface import Buffers
 
-# What an operation costs beyond its image.
+# What it costs to keep an operation, beyond its image.
 OVERHEAD_BYTES = 1024
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Operation:
-    """A call to a lane that can be made again; two are the same only if they are one object."""
+    """A call to a lane that can be made again. Two are the same only if they are one object."""
 
     op: str
     args: Mapping[str, Any]
@@ -23,16 +23,16 @@ class Operation:
 
     @property
     def bytes(self) -> int:
-        """About what it takes to keep it."""
+        """About the memory that it takes to keep the operation."""
         return len(self.data) + OVERHEAD_BYTES
 
     def request(self, key: str) -> Buffers:
-        """The call for the session ``key``."""
+        """Return the call for the session ``key``."""
         return encode_call(self.op, key, self.args, self.data)
 
 
 class RecoveryBudget:
-    """The bytes of all journals together: ``checkpoints``, and the ``frames`` since."""
+    """Counts the bytes of all replay logs: of their checkpoints, and of the frames since."""
 
     def __init__(self, limit: int) -> None:
         self.limit = limit
@@ -45,7 +45,7 @@ class RecoveryBudget:
 
 
 class ReplayLog:
-    """``base`` makes the session, alone, as it was then; ``since`` are the operations that changed it later."""
+    """``checkpoint`` makes the session by itself as it was then; ``operations`` have changed it since."""
 
     def __init__(self, budget: RecoveryBudget) -> None:
         self.checkpoint: Operation | None = None
@@ -55,7 +55,7 @@ class ReplayLog:
         self._closed = False
 
     def append(self, operation: Operation) -> None:
-        """``operation`` has changed the session; the first one has made it."""
+        """Add an operation that has changed the session; the first one has made it."""
         if self._closed:
             return
         if self.checkpoint is None:
@@ -66,7 +66,7 @@ class ReplayLog:
         self._budget.frames += operation.bytes
 
     def reset_to(self, checkpoint: Operation) -> None:
-        """Start anew from ``checkpoint``, which makes the session as it is now."""
+        """Replace the whole log by ``checkpoint``, which makes the session as it is now."""
         if self._closed:
             return
         self._clear()
@@ -74,7 +74,7 @@ class ReplayLog:
         self._budget.checkpoints += checkpoint.bytes
 
     def close(self) -> None:
-        """Keep nothing, from now on."""
+        """Empty the log, and keep nothing from now on."""
         self._clear()
         self._closed = True
 

@@ -1,29 +1,79 @@
-"""What brings sessions back: after the loss of a lane, and of the whole process."""
+"""Brings sessions back: after the loss of a lane from memory, and after the end of the process from disk."""
 
 from __future__ import annotations
 
 import asyncio
 from collections import deque
 from collections.abc import Iterable
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import Any, Self
 
 import structlog
 
 from ..lanes.interface import Lanes
 from ..observability.metrics import Metrics
 from ..protocol.problems import ProblemError
+from ..protocol.requests import Options
+from ..protocol.target import Row
 from ..settings import Settings
 from .lane_state import LaneState, RestoreSlots
 from .replay_log import RecoveryBudget
-from .session import Options, Session
-from .sqlite_store import SavedSession, SqliteStore
+from .session import Session
+from .sqlite_store import SqliteStore
+from .state_file import SavedSession
+
+# The order of the options in version 1 of the state directory.
+OPTIONS_OF_VERSION_1 = ("preset", "on_resize", "label", "maps", "idle_timeout_s")
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.recovery")
 
 
+@dataclass(frozen=True, slots=True)
+class SessionRecord:
+    """What the front saves of a session, by name. A field that is added has a default, for records before it."""
+
+    options: Options
+    created_at: datetime
+    seq: int
+    last_number: int
+    size: list[int]
+    region: list[int] | None
+    rows: list[Row]
+
+    @classmethod
+    def of(cls, session: Session) -> Self:
+        """Return the record of a session as it is now."""
+        return cls(
+            session.options,
+            session.created_at,
+            session.seq,
+            session.last_number,
+            session.size,
+            session.region,
+            session.rows,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record as plain values."""
+        return {name: getattr(self, name) for name in self.__slots__} | {
+            "options": asdict(self.options),
+            "created_at": self.created_at.isoformat(),
+        }
+
+    @classmethod
+    def from_dict(cls, saved: dict[str, Any]) -> Self:
+        """Return the record that :meth:`to_dict` wrote, in this version or an earlier one."""
+        options = saved["options"]
+        if isinstance(options, list):
+            options = dict(zip(OPTIONS_OF_VERSION_1, options, strict=True))
+        created_at = datetime.fromisoformat(saved["created_at"])
+        return cls(**saved | {"options": Options(**options), "created_at": created_at})
+
+
 class SessionStore:
-    """Journals in memory, within one budget; sessions on disk where a state directory is set."""
+    """Keeps replay logs in memory, within one budget, and saves sessions to the state directory, if one is set."""
 
     def __init__(self, settings: Settings, lanes: Lanes, metrics: Metrics) -> None:
         self.budget = RecoveryBudget(settings.max_recovery_bytes)
@@ -31,7 +81,7 @@ class SessionStore:
         self._restore_slots = RestoreSlots()
         self._database = SqliteStore(Path(settings.state_dir), metrics) if settings.state_dir else None
         self.all_written = True
-        """False once sessions could not be written when the service stopped."""
+        """False if some session could not be written when the service stopped."""
 
     @property
     def durable(self) -> bool:
@@ -39,87 +89,69 @@ class SessionStore:
         return self._database is not None
 
     def lane_state(self, sid: str, owner: str) -> LaneState:
-        """The lane side of a new session."""
+        """Return the lane state of a new session."""
         return LaneState(sid, owner, self._lanes, self._restore_slots, self.budget, self._settings, self._metrics)
 
     def open(self) -> None:
-        """Open the state directory, where there is one. Raises StateDirError."""
+        """Open the state directory, if there is one. Raises StateDirError."""
         if self._database is not None:
             self._database.open()
 
     def take_over(self) -> None:
-        """Take over what the state directory holds, where there is one; opens it too. Raises StateDirError."""
+        """Open the state directory and take over its sessions, if there is one. Raises StateDirError."""
         if self._database is not None:
             self._database.take_over()
 
     def load(self) -> tuple[list[SavedSession], list[tuple[str, str]]]:
-        """What another process has left: sessions, and ids and owners of damaged ones; once."""
+        """Return, once, the sessions that another process has left, and the ids and owners of damaged ones."""
         return self._database.load() if self._database else ([], [])
 
     def save(self, session: Session, *, whole: bool = False) -> None:
-        """The session can be brought back as it is now; ``whole``: and nothing more will happen to it here."""
-        base = session.lane.replay_log.checkpoint
-        if self._database is None or base is None or session.ended:
+        """Save the session as of its newest checkpoint; ``whole`` says that nothing happens to it after that."""
+        checkpoint = session.lane.replay_log.checkpoint
+        if self._database is None or checkpoint is None or session.ended:
             return
-        options = session.options
-        front = {
-            "options": [options.preset, options.on_resize, options.label, options.maps, options.idle_timeout_s],
-            "created_at": session.created_at.isoformat(),
-            "seq": session.seq,
-            "last_number": session.last_number,
-            "size": session.size,
-            "region": session.region,
-            "rows": session.rows,
-        }
         trajectory = session.trajectory
         entries = deque(trajectory.newest(session.saved_to))
         session.saved_to = session.seq
-        self._database.save(SavedSession(session.id, session.owner, front, base, entries, trajectory.first_seq, whole))
+        front = SessionRecord.of(session).to_dict()
+        saved = SavedSession(session.id, session.owner, front, checkpoint, entries, trajectory.first_seq, whole)
+        self._database.save(saved)
 
-    def restore_into(self, session: Session, saved: SavedSession) -> None:
-        """Make a new session what the saved one was; its state comes back with its lane."""
-        front = saved.front
-        session.seq, session.last_number = front["seq"], front["last_number"]
-        session.size, session.region, session.rows = front["size"], front["region"], front["rows"]
+    def restore_into(self, session: Session, saved: SavedSession, record: SessionRecord) -> None:
+        """Make a new session what the saved one was. Its state comes back when it gets a lane."""
+        session.seq, session.last_number = record.seq, record.last_number
+        session.size, session.region, session.rows = record.size, record.region, record.rows
         for seq, entry in saved.entries:
             session.trajectory.append_packed(seq, entry)
         session.saved_to = session.seq
         session.lost_after = None if saved.whole else session.seq
-        session.lane.replay_log.reset_to(saved.base)
+        session.lane.replay_log.reset_to(saved.checkpoint)
 
     def delete(self, session: Session) -> None:
-        """The session has ended."""
+        """Delete what is kept of a session that has ended."""
         session.lane.replay_log.close()
         if self._database is not None:
             self._database.delete(session.id)
 
     async def save_all(self, sessions: Iterable[Session]) -> None:
-        """Write all sessions as they are when their work in flight is done, and close the state directory."""
+        """Save all sessions as they are when their work in flight is done, and close the state directory."""
         if self._database is None:
             return
         sessions = list(sessions)
-        results = await asyncio.gather(*(self._park(session) for session in sessions))
+        whole = await asyncio.gather(*(self._save_whole(session) for session in sessions))
         await asyncio.to_thread(self._database.flush, self._settings.operation_deadline_s)
         self.all_written = await asyncio.to_thread(self._database.close)
-        told = log.info if self.all_written and all(results) else log.error
-        told("sessions parked", sessions=len(sessions), whole=sum(results), written=self.all_written)
+        write_log = log.info if self.all_written and all(whole) else log.error
+        write_log("sessions saved", sessions=len(sessions), whole=sum(whole), written=self.all_written)
 
-    async def _park(self, session: Session) -> bool:
+    async def _save_whole(self, session: Session) -> bool:
+        """Save a session as it is now, and return whether that was possible."""
         try:
             async with asyncio.timeout(2 * self._settings.operation_deadline_s):
-                await session.park()
+                await session.prepare_to_stop()
         except (ProblemError, TimeoutError):
-            return False  # it will go on from its last checkpoint
-        # What was lost before stays lost until its client has been told and a frame is tracked.
+            return False  # the session will go on from its newest checkpoint
+        # What was lost before stays lost until the client has been told and a frame is tracked.
         self.save(session, whole=session.lost_after is None)
         return True
-
-
-def options_of(saved: SavedSession) -> Options:
-    """What the client of a saved session chose."""
-    return Options(*saved.front["options"])
-
-
-def created_at_of(saved: SavedSession) -> datetime:
-    """When a saved session was made."""
-    return datetime.fromisoformat(saved.front["created_at"])

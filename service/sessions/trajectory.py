@@ -1,4 +1,4 @@
-"""A session's past: every result, packed, within a bound of bytes."""
+"""The past of a session: every result, packed, within a bound of bytes."""
 
 from __future__ import annotations
 
@@ -7,27 +7,28 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import takewhile
-from typing import Any
 
 import msgpack
+
+from ..protocol.target import Row, complete
 
 # What a packed entry costs beyond its own bytes: the objects around it.
 OVERHEAD_BYTES = 120
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
-    """One tracked frame: its number, the client's ``ts``, the frame's size, the region, a row a target."""
+class TrajectoryEntry:
+    """One tracked frame: its number, the client's ``ts``, the frame's size, the region, and a row for each target."""
 
     seq: int
     ts: float | str | None
     size: list[int]
     region: list[int] | None
-    rows: list[list[Any]]
+    rows: list[Row]
 
 
-class Trajectory:
-    """Entries by rising ``seq``; when the bound is reached the oldest go."""
+class TrajectoryLog:
+    """Entries by rising ``seq``. When the bound is reached, the oldest are dropped."""
 
     def __init__(self, max_bytes: int) -> None:
         self._max_bytes = max_bytes
@@ -42,38 +43,39 @@ class Trajectory:
         """The oldest frame that is kept; 0 while there is none."""
         return self._packed[0][0] if self._packed else 0
 
-    def append(self, entry: Entry) -> None:
+    def append(self, entry: TrajectoryEntry) -> None:
         """Add the newest frame."""
         self.append_packed(entry.seq, msgpack.packb((entry.ts, entry.size, entry.region, entry.rows)))
 
     def append_packed(self, seq: int, packed: bytes) -> None:
-        """Add an entry that :meth:`newest` gave."""
+        """Add an entry that :meth:`newest` returned."""
         self._packed.append((seq, packed))
         self._bytes += len(packed) + OVERHEAD_BYTES
         while self._bytes > self._max_bytes and len(self._packed) > 1:
             self._bytes -= len(self._packed.popleft()[1]) + OVERHEAD_BYTES
 
-    def amend(self, rows: list[list[Any]], region: list[int] | None) -> None:
-        """The newest frame seen anew, after a box was added or corrected on it."""
+    def amend(self, rows: list[Row], region: list[int] | None) -> None:
+        """Replace the results of the newest frame, after a target was added or corrected on it."""
         if not self._packed:
             return
         seq, packed = self._packed.pop()
         self._bytes -= len(packed) + OVERHEAD_BYTES
         ts, size, _, _ = msgpack.unpackb(packed)
-        self.append(Entry(seq, ts, size, region, rows))
+        self.append(TrajectoryEntry(seq, ts, size, region, rows))
 
     def newest(self, since: int) -> list[tuple[int, bytes]]:
-        """The packed entries from ``since`` on, oldest first; for a few of many."""
+        """Return the packed entries from ``since`` on, oldest first. This is fast for a few entries of many."""
         some = list(takewhile(lambda entry: entry[0] >= since, reversed(self._packed)))
         return some[::-1]
 
     def after(self, seq: int) -> list[tuple[int, bytes]]:
-        """The packed entries above ``seq``, oldest first; see :func:`unpacked`."""
+        """Return the packed entries above ``seq``, oldest first; see :func:`unpacked`."""
         packed = list(self._packed)
         return packed[bisect_right(packed, seq, key=lambda entry: entry[0]) :]
 
 
-def unpacked(packed: list[tuple[int, bytes]]) -> Iterator[Entry]:
-    """The entries that :meth:`Trajectory.after` gave."""
+def unpacked(packed: list[tuple[int, bytes]]) -> Iterator[TrajectoryEntry]:
+    """Yield the entries that :meth:`TrajectoryLog.after` returned, those of earlier versions with all fields."""
     for seq, entry in packed:
-        yield Entry(seq, *msgpack.unpackb(entry))
+        ts, size, region, rows = msgpack.unpackb(entry)
+        yield TrajectoryEntry(seq, ts, size, region, [complete(row) for row in rows])

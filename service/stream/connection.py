@@ -20,7 +20,7 @@ from ..protocol.enums import CloseCode, ProblemCode
 from ..protocol.problems import ProblemError
 from ..protocol.requests import Control
 from ..sessions.rate_limiter import RateLimiter
-from ..sessions.session import Frame, Session
+from ..sessions.session import QueuedFrame, Session
 from ..settings import Settings
 from .frame_queue import FrameQueue
 from .message_limits import MessageLimits
@@ -200,7 +200,7 @@ class StreamConnection:
             if sniff(frame.data) is None:
                 raise ProblemError(ProblemCode.UNSUPPORTED_IMAGE, "not a JPEG, PNG or WebP image")
             region = meta.region and list(meta.region)
-            self._queue.put_frame(Frame(frame.data, seq, meta.ts, region, arrived, time.monotonic()), controls)
+            self._queue.put_frame(QueuedFrame(frame.data, seq, meta.ts, region, arrived, time.monotonic()), controls)
             session.touch()
         except ProblemError as problem:
             self._queue.refused(controls)

@@ -11,7 +11,7 @@ from ..protocol.enums import Mode, ProblemCode
 from ..protocol.problems import ProblemError
 from ..protocol.requests import Control
 from ..sessions.byte_budget import Reservation
-from ..sessions.session import Frame
+from ..sessions.session import QueuedFrame
 
 MAX_WAITING_CONTROLS = 64
 
@@ -20,7 +20,7 @@ MAX_WAITING_CONTROLS = 64
 class Job:
     """A frame and the controls that act on it, or a control alone."""
 
-    frame: Frame | None
+    frame: QueuedFrame | None
     controls: list[Control] = field(default_factory=list)
 
 
@@ -59,7 +59,7 @@ class FrameQueue:
         controls, self._for_next = self._for_next, []
         return controls
 
-    def put_frame(self, frame: Frame, controls: list[Control]) -> None:
+    def put_frame(self, frame: QueuedFrame, controls: list[Control]) -> None:
         """Queue a frame; in ``latest`` it supersedes the one that waits. Raises over-credit, at-capacity.
 
         A frame with controls of its own is not superseded: they would act on a frame they were not made for.

@@ -77,7 +77,7 @@ async def test_streams_go_on_through_a_restart(own_server: Serve, clip: Clip, st
         assert_same((await idle.track(clip.frames[2])).target, said[1][0])
     with watch(server) as log:
         server.stop()
-        assert log.lines(event="sessions parked")[0]["whole"] == 3
+        assert log.lines(event="sessions saved")[0]["whole"] == 3
 
 
 async def _all(stream: AsyncIterator[Result]) -> list[Result]:

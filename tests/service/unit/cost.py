@@ -17,7 +17,7 @@ from fastapi import FastAPI
 
 from service.app import create_app
 from service.observability import logs
-from service.sessions.session import Options
+from service.protocol.requests import Options
 from service.settings import Settings
 
 from .routes import dependencies, routes
@@ -52,7 +52,7 @@ async def get_ms(app: FastAPI, path: str, calls: int) -> float:
 async def measure() -> tuple[float, float]:
     """The median GET as it is, and with its dependencies in threads."""
     app = create_app(Settings(max_requests_per_s=1e8), lanes=Lanes(1))
-    options = Options("default", "reject", None, False, 300.0)
+    options = Options(idle_timeout_s=300.0)
     session = await app.state.service.registry.create("anyone", b"frame", [[1, 2, 3, 4]], options, None)
     path = f"/v1/sessions/{session.id}"
     shipped, threaded = [], []

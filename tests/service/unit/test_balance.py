@@ -7,16 +7,20 @@ from typing import Any
 
 import pytest
 
+from mfcmt_core.images import FrameLimits
 from service.lanes.balance import FULL, IDLE, KEY_RESTS_S, LANES_REST_S, Rebalancer, RecentUsage
 from service.lanes.framing import TOOK, Splitter, encode_call, encode_reply, framed
 from service.lanes.interface import LaneCrowded
+from service.lanes.limits import LaneLimits
 from service.lanes.pool import LanePool
 from service.lanes.process import PIPELINE, SHORT_BYTES, SHORT_S, LaneProcess
 
 
 def pool_of(lanes: int, places: int = 4) -> LanePool:
     """Lanes that are ready, without processes."""
-    pool = LanePool(lanes, places, {}, deadline_s=1, start_timeout_s=1, max_rss_bytes=1 << 40)
+    pool = LanePool(
+        lanes, places, LaneLimits(FrameLimits(), 1, 1), deadline_s=1, start_timeout_s=1, max_rss_bytes=1 << 40
+    )
     for lane in pool._lanes:
         lane.ready = True
     return pool

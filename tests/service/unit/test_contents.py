@@ -14,12 +14,15 @@ from hypothesis import strategies as st
 
 from mfcmt_core.images import FrameLimits
 from service.lanes.contents import FIELDS, pack
-from service.lanes.frame_view import Refused
+from service.lanes.limits import LaneLimits
 from service.lanes.operations import LaneOperations
+from service.protocol.problems import ProblemError
+from service.protocol.target import ROW_FIELDS
 
-LIMITS = {"max_bytes": 1 << 20, "max_pixels": 1 << 20, "max_side": 4096, "max_scans": 16}
-CONFIG = {"frame_limits": LIMITS, "max_targets": 4, "region_lag": 1}
-FRONT = {"label": "kept", "idle_timeout_s": 60.0}
+LIMITS = LaneLimits(
+    FrameLimits(max_bytes=1 << 20, max_pixels=1 << 20, max_side=4096, max_scans=16), max_targets=4, region_lag=1
+)
+OPTIONS = {"preset": "default", "on_resize": "reject", "label": "kept", "maps": False, "idle_timeout_s": 60.0}
 
 
 def picture(size: tuple[int, int] = (96, 72)) -> bytes:
@@ -30,16 +33,15 @@ def picture(size: tuple[int, int] = (96, 72)) -> bytes:
 
 @pytest.fixture(scope="module")
 def store() -> LaneOperations:
-    return LaneOperations(CONFIG)
+    return LaneOperations(LIMITS)
 
 
 @pytest.fixture(scope="module")
 def sound(store: LaneOperations) -> dict[str, Any]:
     """The contents of a real snapshot, of two targets."""
-    options = {"preset": "default", "on_resize": "reject", "maps": False}
-    store.handle("create", "s", {"options": options, "boxes": [[30, 20, 24, 24], [50, 30, 20, 30]]}, picture())
+    store.handle("create", "s", {"options": OPTIONS, "boxes": [[30, 20, 24, 24], [50, 30, 20, 30]]}, picture())
     store.handle("track", "s", {"seq": 1}, picture())
-    contents: dict[str, Any] = msgpack.unpackb(store.handle("snapshot", "s", {"front": FRONT}, b""))
+    contents: dict[str, Any] = msgpack.unpackb(store.handle("snapshot", "s", {"options": OPTIONS}, b""))
     assert contents.keys() == FIELDS
     return contents
 
@@ -48,7 +50,7 @@ def restored(store: LaneOperations, data: bytes) -> bool:
     """Whether the lane takes it; if it does, the session works. It refuses in no other way."""
     try:
         state = store.handle("restore", "r", {}, data)
-    except Refused as refusal:
+    except ProblemError as refusal:
         refused = refusal
     else:
         return _works(store, state)
@@ -58,7 +60,7 @@ def restored(store: LaneOperations, data: bytes) -> bool:
 
 def _works(store: LaneOperations, state: dict[str, Any]) -> bool:
     store.handle("track", "r", {"seq": state["seq"] + 1}, picture(tuple(state["size"])))
-    store.handle("snapshot", "r", {"front": FRONT}, b"")
+    store.handle("snapshot", "r", {"options": OPTIONS}, b"")
     store.handle("drop", "r", {}, b"")
     return True
 
@@ -70,10 +72,18 @@ def test_a_sound_one_is_taken(store: LaneOperations, sound: dict[str, Any]) -> N
 @pytest.mark.parametrize(
     "change",
     [
-        {"options": {"preset": "fastest", "on_resize": "reject", "maps": False}},
+        {"options": OPTIONS | {"preset": "fastest"}},
+        {"options": OPTIONS | {"on_resize": "reject "}},
+        {"options": OPTIONS | {"maps": 1}},
+        {"options": OPTIONS | {"label": 7}},
+        {"options": OPTIONS | {"label": "x" * 201}},
+        {"options": OPTIONS | {"idle_timeout_s": float("nan")}},
+        {"options": OPTIONS | {"idle_timeout_s": -1}},
+        {"options": OPTIONS | {"idle_timeout_s": None}},
+        {"options": OPTIONS | {"speed": 1}},
         {"options": {"preset": "default", "on_resize": "reject"}},
         {"front": {"label": 7, "idle_timeout_s": 60.0}},
-        {"front": {"label": None, "idle_timeout_s": float("nan")}},
+        {"front": None},
         {"next_id": 1},
         {"next_id": -1},
         {"seq": -1},
@@ -163,5 +173,25 @@ def test_fuzz_bytes(store: LaneOperations, sound: dict[str, Any]) -> None:
         restored(store, bytes(broken[: chance.choice((len(broken), chance.randrange(len(broken))))]))
 
 
-def test_limits_are_those_of_frames() -> None:
-    assert FrameLimits(**LIMITS).max_side == 4096
+def test_first_snapshots_kept_label_and_idle_time_apart(store: LaneOperations, sound: dict[str, Any]) -> None:
+    options = {name: OPTIONS[name] for name in ("preset", "on_resize", "maps")}
+    front = {"label": "kept", "idle_timeout_s": 60.0}
+    state = store.handle("restore", "r", {}, pack(sound | {"options": options, "front": front}))
+    assert state["options"] == OPTIONS
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("id", -1), ("id", True), ("id", 0.0), ("box", [1, 2, 3]), ("box", [1, 2, 0, 4]), ("box", [1, 2, 3, 1e13]),
+        ("box", [1, 2, 3, float("inf")]), ("status", "gone"), ("status", None), ("reliable", 1), ("flags", [True] * 2),
+        ("flags", [1, 1, 1]), ("scores", [1, 2, "3"]), ("scores", {"fused": 1}), ("psr", float("nan")), ("psr", "7"),
+        ("updated", None), ("scale", 0), ("scale", True),
+    ],
+)  # fmt: skip
+def test_row_with_a_wrong_value_is_refused(
+    store: LaneOperations, sound: dict[str, Any], field: str, value: Any
+) -> None:
+    [row, tracker], *rest = sound["targets"]
+    changed = [value if name == field else old for name, old in zip(ROW_FIELDS, row, strict=True)]
+    assert not restored(store, pack(sound | {"targets": [[changed, tracker], *rest]}))

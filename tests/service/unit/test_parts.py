@@ -17,8 +17,8 @@ from service.protocol.problems import ProblemError
 from service.protocol.requests import Remove
 from service.sessions.byte_budget import ByteBudget, Reservation
 from service.sessions.rate_limiter import TokenBucket
-from service.sessions.session import Frame
-from service.sessions.trajectory import Entry, Trajectory, unpacked
+from service.sessions.session import QueuedFrame
+from service.sessions.trajectory import TrajectoryEntry, TrajectoryLog, unpacked
 from service.sessions.ttl_cache import TTLCache
 from service.stream.frame_queue import FrameQueue
 
@@ -99,8 +99,8 @@ def test_an_owner_is_forgotten_with_its_last_session() -> None:
     assert turns.pop() == "4"
 
 
-def frame(seq: int) -> Frame:
-    return Frame(b"", seq, None, None, 0.0, 0.0)
+def frame(seq: int) -> QueuedFrame:
+    return QueuedFrame(b"", seq, None, None, 0.0, 0.0)
 
 
 def queue_of(mode: Mode, credit: int = 2) -> FrameQueue:
@@ -204,12 +204,12 @@ def test_nobody_pushes_out_what_is_remembered_of_another(puts: list[tuple[str, i
 
 
 def test_the_past_is_bounded_by_bytes() -> None:
-    past = Trajectory(4096)
+    past = TrajectoryLog(4096)
     for seq in range(1000):
-        past.append(Entry(seq, "ts", [640, 480], None, [ROW]))
+        past.append(TrajectoryEntry(seq, "ts", [640, 480], None, [ROW]))
     assert 5 < len(past) < 40
     entries = list(unpacked(past.after(-1)))
-    assert entries[-1] == Entry(999, "ts", [640, 480], None, [ROW])
+    assert entries[-1] == TrajectoryEntry(999, "ts", [640, 480], None, [ROW])
     assert [e.seq for e in unpacked(past.after(997))] == [998, 999]
     past.amend([ROW, [1, *ROW[1:]]], [0, 0, 9, 9])
     last = next(unpacked(past.after(998)))

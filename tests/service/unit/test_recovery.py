@@ -13,16 +13,19 @@ from typing import Any
 import pytest
 from prometheus_client import generate_latest
 
+from mfcmt_core.images import FrameLimits
 from service.lanes.framing import Splitter, decode_call, decode_reply, encode_reply, framed
 from service.lanes.interface import AtCapacity, Buffers, LaneCrowded, LaneLost, Place
+from service.lanes.limits import LaneLimits
 from service.lanes.pool import LanePool
 from service.lanes.process import LaneProcess
 from service.observability.metrics import Metrics
 from service.protocol.problems import ProblemError
 from service.sessions.registry import SessionRegistry
 from service.sessions.replay_log import Operation, RecoveryBudget, ReplayLog
-from service.sessions.session import Frame, Session
-from service.sessions.sqlite_store import FILE, SavedSession, SqliteStore, StateDirError
+from service.sessions.session import QueuedFrame, Session
+from service.sessions.sqlite_store import SqliteStore
+from service.sessions.state_file import FILE, SavedSession, StateDirError
 from service.settings import Settings
 
 from .test_registry import Lanes, World
@@ -66,7 +69,7 @@ class Keeping(World):
         self.registry = SessionRegistry(self.settings, self.lanes, self.metrics, lambda: self.now)
 
     async def track(self, session: Session, size: int = KIB) -> int:
-        result, _, _ = await session.track(Frame(b"f" * size, session.number(None), None, None, 0.0, 0.0))
+        result, _, _ = await session.track(QueuedFrame(b"f" * size, session.number(None), None, None, 0.0, 0.0))
         await asyncio.sleep(0.001)  # for a checkpoint, behind the frame
         seq: int = result["seq"]
         return seq
@@ -83,8 +86,8 @@ async def test_a_checkpoint_comes_every_so_many_frames_and_only_then() -> None:
     assert gaps == {10}
     assert len(session.lane.replay_log.operations) < 10
     before = len(world.lanes.ops)
-    await session.park()
-    await session.park()
+    await session.prepare_to_stop()
+    await session.prepare_to_stop()
     assert [op for op, _ in world.lanes.ops[before:]] in (["checkpoint"], [])
 
 
@@ -266,7 +269,7 @@ def test_a_closed_journal_keeps_nothing() -> None:
 
 async def test_the_places_of_the_lost_are_kept() -> None:
     """In the lane that comes for the lost one; elsewhere only while that one keeps dying."""
-    pool = LanePool(2, 3, {}, deadline_s=1, start_timeout_s=1, max_rss_bytes=1 << 40)
+    pool = LanePool(2, 3, LaneLimits(FrameLimits(), 1, 1), deadline_s=1, start_timeout_s=1, max_rss_bytes=1 << 40)
     for lane in pool._lanes:
         lane.ready = True
     for key in "abcd":
@@ -343,7 +346,7 @@ def test_the_newest_state_is_on_disk_with_the_whole_past(tmp_path: Path) -> None
     assert database.flush(10)
     database.close()
     database, (one,) = reopened(tmp_path)
-    assert (one.id, one.owner, one.base.data, one.whole) == ("a", "me", b"state of 5", True)
+    assert (one.id, one.owner, one.checkpoint.data, one.whole) == ("a", "me", b"state of 5", True)
     assert [seq for seq, _ in one.entries] == [1, 2, 3, 4, 5]
     database.close()
     database, (one,) = reopened(tmp_path)
@@ -354,19 +357,20 @@ def test_the_newest_state_is_on_disk_with_the_whole_past(tmp_path: Path) -> None
 def test_a_disk_that_fails_for_a_while(tmp_path: Path) -> None:
     """What could not be written is written later, and counted."""
     database, _ = reopened(tmp_path)
-    assert database._db is not None
-    database._db.execute("PRAGMA max_page_count=1")
-    database._db.execute("CREATE TEMP TRIGGER full BEFORE INSERT ON session BEGIN SELECT RAISE(FAIL, 'disk full'); END")
+    assert database._file.db is not None
+    database._file.db.execute("PRAGMA max_page_count=1")
+    trigger = "CREATE TEMP TRIGGER full BEFORE INSERT ON session BEGIN SELECT RAISE(FAIL, 'disk full'); END"
+    database._file.db.execute(trigger)
     database.save(saved("a", 1, [0, 1]))
     give_up = time.monotonic() + 10
     while b"mfcmt_state_write_failures_total 1.0" not in text(database._metrics) and time.monotonic() < give_up:
         time.sleep(0.01)
     database.save(saved("a", 2, [1, 2]))
-    database._db.execute("DROP TRIGGER full")
+    database._file.db.execute("DROP TRIGGER full")
     assert database.flush(20)
     database.close()
     database, (one,) = reopened(tmp_path)
-    assert one.base.data == b"state of 2"
+    assert one.checkpoint.data == b"state of 2"
     assert [seq for seq, _ in one.entries] == [0, 1, 2]
     database.close()
 

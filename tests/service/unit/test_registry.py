@@ -6,6 +6,7 @@ import asyncio
 import gc
 import weakref
 from collections.abc import AsyncIterator, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import pytest
@@ -13,10 +14,12 @@ import pytest
 from service.lanes.framing import decode_call, encode_reply
 from service.lanes.interface import AtCapacity, Buffers, KeysLost, LaneEvent, LaneLost, LaneStatus, LaneUsage, Place
 from service.observability.metrics import Metrics
+from service.protocol.enums import Preset
 from service.protocol.problems import ProblemError
-from service.sessions.quotas import KeyQuotas
+from service.protocol.requests import Options
+from service.sessions.admission import KeyQuotas
 from service.sessions.registry import SessionRegistry
-from service.sessions.session import Frame, Options, Session
+from service.sessions.session import QueuedFrame, Session
 from service.settings import Settings
 
 ROW = [0, [1.0, 2.0, 3.0, 4.0], "tracking", None, None, None, None, True, 1.0]
@@ -80,11 +83,11 @@ async def test_who_comes_before_a_lane_is_ready_is_told_so() -> None:
     lanes.ready = False
     registry = SessionRegistry(Settings(), lanes, Metrics())
     with pytest.raises(ProblemError, match="no lane is ready yet: the service has just started") as refused:
-        await registry.create("a", b"", [], Options("default", "reject", None, False, 60), None)
+        await registry.create("a", b"", [], Options(idle_timeout_s=60), None)
     assert (refused.value.code, refused.value.members) == ("at-capacity", {"retry_after_s": 1.0})
     lanes.ready = True
     with pytest.raises(ProblemError, match="no place for another session"):
-        await registry.create("a", b"", [], Options("default", "reject", None, False, 60), None)
+        await registry.create("a", b"", [], Options(idle_timeout_s=60), None)
 
 
 class Stream:
@@ -114,7 +117,7 @@ class World:
         self.registry = SessionRegistry(self.settings, self.lanes, Metrics(), lambda: self.now)
 
     async def create(self, owner: str = "me", key: str | None = None, idle_s: float = 10) -> Session:
-        options = Options("default", "reject", None, False, idle_s)
+        options = Options(idle_timeout_s=idle_s)
         return await self.registry.create(owner, b"frame", [[1, 2, 3, 4]], options, key)
 
 
@@ -178,7 +181,7 @@ async def test_streams_are_closed_with_the_code_of_the_end(reason: str, close: i
     assert stream.ends == [close]
     assert gone(world, session) == ("session-gone", reason)
     with pytest.raises(ProblemError) as refused:
-        await session.track(Frame(b"", 1, None, None, 0.0, 0.0))
+        await session.track(QueuedFrame(b"", 1, None, None, 0.0, 0.0))
     assert code_of(refused) == ("session-gone", reason)
 
 
@@ -232,7 +235,7 @@ async def test_the_same_key_makes_one_session() -> None:
     assert len({s.id for s in made}) == 1
     assert len(world.registry) == 1
     assert (await world.create("other", key="k")).id != made[0].id
-    options = Options("paper", "reject", None, False, 10)
+    options = Options(Preset.PAPER, idle_timeout_s=10)
     with pytest.raises(ProblemError, match="bad-request"):
         await world.registry.create("me", b"frame", [[1, 2, 3, 4]], options, "k")
     world.now += 601
@@ -260,9 +263,9 @@ async def test_one_key_leaves_half_of_the_places_to_the_others() -> None:
         world.settings, world.lanes, Metrics(), lambda: world.now, lambda: owners
     )
     made = [await world.create() for _ in range(8)]
-    assert (registry.shares.sessions, registry.shares.streams) == (8, world.settings.max_streams)
+    assert (registry.quotas.sessions, registry.quotas.streams) == (8, world.settings.max_streams)
     owners = 2
-    assert (registry.shares.sessions, registry.shares.streams) == (4, world.settings.max_streams // 2)
+    assert (registry.quotas.sessions, registry.quotas.streams) == (4, world.settings.max_streams // 2)
     for session in made[:4]:
         registry.close("me", session.id)
     with pytest.raises(ProblemError, match="over-quota: at most 4 sessions"):
@@ -312,7 +315,7 @@ async def test_one_operation_of_a_session_at_a_time() -> None:
         return reply
 
     world.lanes.call = watched  # type: ignore[method-assign]
-    frames = [Frame(b"", session.number(None), None, None, 0.0, 0.0) for _ in range(10)]
+    frames = [QueuedFrame(b"", session.number(None), None, None, 0.0, 0.0) for _ in range(10)]
     results = await asyncio.gather(*(session.track(frame) for frame in frames))
     assert [result["seq"] for result, *_ in results] == list(range(1, 11))
     assert len(session.trajectory) == 11
@@ -349,7 +352,7 @@ async def test_a_session_does_not_end_idle_while_its_frame_is_in_work() -> None:
     world.lanes = Held(2)
     world.registry = SessionRegistry(world.settings, world.lanes, Metrics(), lambda: world.now)
     session = await world.create()
-    tracking = asyncio.create_task(session.track(Frame(b"", session.number(None), None, None, 0.0, 0.0)))
+    tracking = asyncio.create_task(session.track(QueuedFrame(b"", session.number(None), None, None, 0.0, 0.0)))
     await asyncio.sleep(0)
     world.now += 11
     world.registry.sweep()
@@ -381,8 +384,7 @@ async def test_a_session_does_not_end_idle_while_its_frame_is_being_received() -
 
 async def test_a_restored_session_has_no_longer_idle_time_than_is_allowed_here() -> None:
     world = World(max_idle_timeout_s=60)
-    told = STATE | {"front": {"label": None, "idle_timeout_s": 3600.0}}
-    told |= {"options": {"preset": "default", "on_resize": "reject", "maps": False}}
+    told = STATE | {"options": asdict(Options(idle_timeout_s=3600.0))}
 
     async def restored(key: str, request: Buffers) -> bytes:
         return encode_reply(None, told)

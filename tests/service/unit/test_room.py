@@ -21,8 +21,8 @@ from service.protocol.problems import ProblemError
 from service.sessions.byte_budget import ANONYMOUS, ByteBudget, Reservation
 from service.sessions.concurrency import ConcurrencyLimit
 from service.sessions.rate_limiter import MAX_DELAY_S, RateLimiter
-from service.sessions.session import Frame
-from service.sessions.trajectory import Entry
+from service.sessions.session import QueuedFrame
+from service.sessions.trajectory import TrajectoryEntry
 from service.settings import Settings
 from service.stream.frame_queue import FrameQueue
 
@@ -81,7 +81,7 @@ def test_frames_that_wait_count_until_they_are_answered(mode: Mode) -> None:
     queue = FrameQueue(mode, 4, lambda: None, Reservation(room, "a"))
 
     def put(seq: int, size: int) -> None:
-        queue.put_frame(Frame(bytes(size), seq, None, None, 0.0, 0.0), [])
+        queue.put_frame(QueuedFrame(bytes(size), seq, None, None, 0.0, 0.0), [])
 
     async def scenario() -> None:
         put(1, 30)
@@ -195,7 +195,7 @@ def test_documents_of_too_many_items_are_refused_unread() -> None:
 
 @given(st.lists(st.integers(0, 300), max_size=50))
 def test_parts_of_a_past_are_small_by_their_targets(targets: list[int]) -> None:
-    entries = [Entry(n, None, [1, 1], None, [[0]] * count) for n, count in enumerate(targets)]
+    entries = [TrajectoryEntry(n, None, [1, 1], None, [[0]] * count) for n, count in enumerate(targets)]
     parts = list(_some(iter(entries)))
     assert [entry for part in parts for entry in part] == entries
     for part in parts:

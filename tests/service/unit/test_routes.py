@@ -14,7 +14,7 @@ from service import app as application
 from service.app import create_app
 from service.lanes.interface import LaneStatus
 from service.protocol.problems import NO_LANE
-from service.sessions.session import Options
+from service.protocol.requests import Options
 from service.settings import Settings
 
 from .routes import dependencies, routes
@@ -87,7 +87,7 @@ async def test_a_trajectory_can_be_asked_for_by_its_own_media_type(
     format: str, accept: str, status: int, kind: str
 ) -> None:
     app = create_app(Settings(), lanes=Lanes(1))
-    options = Options("default", "reject", None, False, 300.0)
+    options = Options(idle_timeout_s=300.0)
     session = await app.state.service.registry.create("anyone", b"frame", [[1, 2, 3, 4]], options, None)
     transport = httpx2.ASGITransport(app)
     async with httpx2.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client:

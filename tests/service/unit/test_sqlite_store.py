@@ -22,7 +22,8 @@ from structlog.testing import capture_logs
 from service.observability.metrics import Metrics
 from service.sessions import sqlite_store
 from service.sessions.replay_log import Operation
-from service.sessions.sqlite_store import FILE, SCHEMA, SavedSession, SqliteStore, StateDirError
+from service.sessions.sqlite_store import SqliteStore
+from service.sessions.state_file import FILE, SCHEMA, SavedSession, StateDirError
 
 PIECE = 48
 
@@ -122,7 +123,7 @@ def test_what_a_killed_process_left_in_the_log_is_erased_at_the_next_start(tmp_p
     for number, image in enumerate(images):
         database.save(saved(f"s{number}", image))
     assert database.flush(20)
-    database._db.execute("DELETE FROM session")  # type: ignore[union-attr]
+    database._file.db.execute("DELETE FROM session")  # type: ignore[union-attr]
     shutil.copytree(running, killed)
     database.close()
     assert remains(killed, images) == len(images)
@@ -139,7 +140,7 @@ def test_remains_of_an_earlier_version_are_erased_and_its_sessions_are_read(tmp_
     database = SqliteStore(tmp_path, Metrics())
     database.open()
     found, damaged = database.load()
-    assert [(one.id, one.base.data, one.whole, list(one.entries)) for one in found] == [
+    assert [(one.id, one.checkpoint.data, one.whole, list(one.entries)) for one in found] == [
         (f"s{n}", data, True, [(0, b"entry")]) for n, data in enumerate(kept)
     ]
     assert damaged == []
@@ -149,10 +150,10 @@ def test_remains_of_an_earlier_version_are_erased_and_its_sessions_are_read(tmp_
 
 def fill_up(database: SqliteStore) -> Callable[[], None]:
     """Let the disk of an open database be full until what is returned is called."""
-    assert database._db is not None
-    (most,) = database._db.execute("PRAGMA max_page_count").fetchone()
-    database._db.execute("PRAGMA max_page_count=1")
-    return lambda: database._db.execute(f"PRAGMA max_page_count={most}")  # type: ignore[union-attr, return-value]
+    assert database._file.db is not None
+    (most,) = database._file.db.execute("PRAGMA max_page_count").fetchone()
+    database._file.db.execute("PRAGMA max_page_count=1")
+    return lambda: database._file.db.execute(f"PRAGMA max_page_count={most}")  # type: ignore[union-attr, return-value]
 
 
 def failures(database: SqliteStore) -> float:

@@ -16,11 +16,11 @@ from service.app import create_app
 from service.lanes.interface import Place
 from service.server import make_server
 from service.sessions.session import Session
-from service.sessions.sqlite_store import FILE
+from service.sessions.state_file import FILE
 from service.settings import Settings
 
 from .test_recovery import Keeping
-from .test_registry import Frame, Lanes, World, gone
+from .test_registry import Lanes, QueuedFrame, World, gone
 
 
 async def left_behind(world: World, *, age_s: float = 0.0) -> Session:
@@ -209,7 +209,7 @@ async def test_a_session_is_not_idle_until_it_is_restored(tmp_path: Path) -> Non
     await asyncio.sleep(0.01)
     second.now += 9
     taken_up = second.registry.find("me", session.id)
-    frame = Frame(b"", taken_up.number(None), None, None, 0.0, 0.0)
+    frame = QueuedFrame(b"", taken_up.number(None), None, None, 0.0, 0.0)
     assert (await taken_up.track(frame))[0]["seq"] == session.seq + 1
     await second.registry.save_all()
 

@@ -20,11 +20,13 @@ from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, consumes, invariant, multiple, rule
 from starlette.testclient import TestClient, WebSocketDenialResponse, WebSocketTestSession
 
+from mfcmt_core.images import FrameLimits
 from service.app import create_app
-from service.lanes.frame_view import Refused
 from service.lanes.framing import decode_call, encode_reply
 from service.lanes.interface import Buffers, LaneLost
+from service.lanes.limits import LaneLimits
 from service.lanes.operations import LaneOperations
+from service.protocol.problems import ProblemError
 from service.settings import Settings
 
 from .test_registry import Lanes
@@ -34,11 +36,9 @@ PLACES = 12
 NEVER = "AAAAAAAAAAAAAAAAAAAAAAAA"
 SNAPSHOT = "application/vnd.mfcmt.snapshot"
 BOX = [30, 20, 24, 24]
-CONFIG = {
-    "frame_limits": {"max_bytes": 1 << 20, "max_pixels": 1 << 20, "max_side": 4096, "max_scans": 16},
-    "max_targets": 4,
-    "region_lag": 1,
-}
+LIMITS = LaneLimits(
+    FrameLimits(max_bytes=1 << 20, max_pixels=1 << 20, max_side=4096, max_scans=16), max_targets=4, region_lag=1
+)
 JPEG = cv2.imencode(
     ".jpg", cv2.resize(np.random.default_rng(7).integers(0, 255, (18, 24, 3), dtype=np.uint8), (96, 72))
 )[1].tobytes()
@@ -49,14 +49,14 @@ class OwnLanes(Lanes):
 
     def __init__(self) -> None:
         super().__init__(PLACES)
-        self.store = LaneOperations(CONFIG)
+        self.store = LaneOperations(LIMITS)
 
     async def call(self, key: str, request: Buffers) -> bytes:
         if key not in self.keys:
             raise LaneLost("absent")
         try:
             return encode_reply(None, self.store.handle(*decode_call(memoryview(b"".join(request)))))
-        except Refused as refused:
+        except ProblemError as refused:
             return encode_reply(refused.code, [refused.detail, refused.members])
 
     def release(self, key: str) -> None:
