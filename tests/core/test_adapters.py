@@ -20,7 +20,7 @@ def truth(clip) -> list[TrackResult]:
     return list(MFCMT().track(clip.frames[:12], clip.boxes[0]))
 
 
-def test_opencv_style(clip, truth):
+def test_the_opencv_adapter_gives_the_library_s_boxes(clip, truth):
     tracker = adapters.OpenCVTracker.create(MFCMTConfig.default())
     with pytest.raises(NotInitialised):
         tracker.update(clip.frames[0])
@@ -33,7 +33,7 @@ def test_opencv_style(clip, truth):
         tracker.init(clip.frames[0], (10, 10, 0, 5))
 
 
-def test_opencv_style_says_when_the_target_is_lost(clip, monkeypatch):
+def test_the_opencv_adapter_is_not_ok_while_the_target_is_lost(clip, monkeypatch):
     tracker = adapters.OpenCVTracker()
     tracker.init(clip.frames[0], clip.boxes[0])
     lost = TrackResult((1.0, 2.0, 3.0, 4.0), "lost", False, None, None, 2.0, False, 1.0)
@@ -41,7 +41,7 @@ def test_opencv_style_says_when_the_target_is_lost(clip, monkeypatch):
     assert tracker.update(clip.frames[1]) == (False, (1.0, 2.0, 3.0, 4.0))
 
 
-def test_got10k_style(clip, truth):
+def test_the_got10k_adapter_gives_the_library_s_boxes(clip, truth):
     tracker = adapters.Got10kTracker(name="ours")
     assert (tracker.name, tracker.is_deterministic) == ("ours", True)
     rgb = [Image.fromarray(frame[..., ::-1]) for frame in clip.frames[:12]]
@@ -52,7 +52,7 @@ def test_got10k_style(clip, truth):
         assert tuple(box) == truth[i].box
 
 
-def test_got10k_style_on_files(clip, truth, tmp_path):
+def test_the_got10k_adapter_tracks_image_files(clip, truth, tmp_path):
     short = synthetic.clip("motion", length=120)
     files = []
     for i, frame in enumerate(short.frames[:12]):
@@ -71,14 +71,14 @@ def test_got10k_style_on_files(clip, truth, tmp_path):
 
 
 @pytest.mark.parametrize("mode", ["L", "P", "RGBA"])
-def test_got10k_style_takes_other_image_modes(clip, mode):
+def test_the_got10k_adapter_takes_other_image_modes(clip, mode):
     tracker = adapters.Got10kTracker()
     image = Image.fromarray(clip.frames[0][..., ::-1]).convert(mode)
     tracker.init(image, clip.boxes[0])
     assert np.isfinite(tracker.update(image)).all()
 
 
-def test_supervision_row():
+def test_xyxy_is_a_row_of_corners():
     result = TrackResult((10.5, 20.0, 4.0, 8.0), "tracking", None, None, None, None, True, 1.0)
     row = adapters.xyxy(result)
     assert row.dtype == np.float32

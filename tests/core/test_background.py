@@ -54,7 +54,7 @@ def dense(m, x):
     return w, lambda v: ((a @ v - y) ** 2).sum() + PENALTY * (v**2).sum()
 
 
-def test_the_iterations_go_to_the_constrained_optimum(smooth, monkeypatch):
+def test_iterations_converge_to_the_constrained_optimum(smooth, monkeypatch):
     m, _ = learned(smooth)
     best, loss = dense(m, smooth)
     losses = []
@@ -66,7 +66,7 @@ def test_the_iterations_go_to_the_constrained_optimum(smooth, monkeypatch):
     assert losses[2] == pytest.approx(loss(best), rel=0.02)
 
 
-def test_a_later_training_goes_on_where_the_last_has_ended(smooth, monkeypatch):
+def test_a_later_training_continues_from_the_last_one(smooth, monkeypatch):
     """One iteration each: n of them after the first training are what n more at once are."""
     m, w = learned(smooth)
     best, loss = dense(m, smooth)
@@ -83,7 +83,7 @@ def test_a_later_training_goes_on_where_the_last_has_ended(smooth, monkeypatch):
     np.testing.assert_allclose(again.background.filters, m.background.filters, atol=1e-4)
 
 
-def test_a_first_training_forgets_what_was(smooth):
+def test_a_first_training_forgets_earlier_ones(smooth):
     m, _ = learned(smooth)
     expected = m.background.filters.copy(), m.background.unmasked.copy()
     m.background.train(spectra_of(noise(1, 42)))
@@ -92,7 +92,7 @@ def test_a_first_training_forgets_what_was(smooth):
     assert np.array_equal(m.background.unmasked, expected[1])
 
 
-def test_two_iterations_beat_a_ridge_filter_cut_to_the_box(smooth):
+def test_two_iterations_are_better_than_a_ridge_filter_masked_to_the_box(smooth):
     m, w = learned(smooth)
     _, loss = dense(m, smooth)
     cut = np.fft.irfft2(filters_of(m), s=(N, N)) * box_of(m)

@@ -30,7 +30,7 @@ def otb_like(tmp_path_factory) -> Path:
     return root
 
 
-def test_every_stage_is_clocked():
+def test_every_stage_is_timed():
     report = bench.measure(measure.synthetic_material("motion", 30), "default", 1)
     for name in ("search window", "template features", "template response", "fusion"):
         assert report["stages_ms"][name]["calls"] >= 0.9, name
@@ -43,7 +43,7 @@ def test_every_stage_is_clocked():
     assert report["clips"][0]["frames"] == 30
 
 
-def test_the_slowest_frames_are_told_by_those_that_are_not_lost():
+def test_p99_leaves_out_frames_on_which_the_target_is_lost():
     assert measure.spread(np.array([1.0] * 99 + [3.0] * 9)) == pytest.approx(3)
     assert measure.spread(np.empty(0)) is None
     config = MFCMT().config.replace(lost_after=1, fused_threshold=10.0)
@@ -56,7 +56,7 @@ def test_the_slowest_frames_are_told_by_those_that_are_not_lost():
     assert f"{clip['p99_over_median']:.2f}" in bench.table(report)
 
 
-def test_costs():
+def test_costs_have_all_figures():
     report = costs.measure(MFCMT().config, 6)
     assert set(report["update_ms"]) == {"vga", "full_hd", "lost_vga", "lost_full_hd"}
     assert all(ms > 0 for ms in report["update_ms"].values())
@@ -76,7 +76,7 @@ def test_command_prints_costs():
     assert "lost, 640×480" in done.stdout
 
 
-def test_time_in_an_inner_stage_counts_there_alone(monkeypatch):
+def test_time_in_an_inner_stage_counts_only_there(monkeypatch):
     class Stage:
         def outer(self):
             return [self.inner(), self.inner()]
@@ -96,7 +96,7 @@ def test_time_in_an_inner_stage_counts_there_alone(monkeypatch):
     assert clock.calls == {"outer": [1, 0], "inner": [2, 0]}
 
 
-def test_clocks_change_no_result_and_are_taken_off_again():
+def test_clocks_change_no_result_and_are_removed():
     before = [getattr(owner, attribute) for _, owner, attribute in measure.STAGES]
     clip = synthetic.clip("motion", length=120)
     want = [r.box for r in MFCMT().track(clip.frames[:6], clip.boxes[0])]
@@ -187,7 +187,7 @@ class StubPeer:
         return self.made[self.peer]()
 
 
-def test_peers_count_only_where_they_are_alive(monkeypatch):
+def test_a_peer_s_speed_counts_only_on_frames_where_it_is_alive(monkeypatch):
     monkeypatch.setattr(versus, "Peer", StubPeer)
     monkeypatch.setattr(versus, "PEERS", tuple(StubPeer.made))
     monkeypatch.setattr(versus, "FEWEST", 5)
@@ -217,14 +217,14 @@ def test_peers_count_only_where_they_are_alive(monkeypatch):
     assert json.loads(json.dumps(report, allow_nan=False)) == report
 
 
-def test_without_peers_the_command_says_how_to_get_them(monkeypatch):
+def test_without_peers_the_command_tells_how_to_install_them(monkeypatch):
     monkeypatch.setattr(versus, "Peer", StubPeer)
     monkeypatch.setattr(versus, "PEERS", ("absent",))
     with pytest.raises(UsageError, match="make bench-peers"):
         versus.measure(iter(()), "default")
 
 
-def test_time_is_the_processors():
+def test_time_is_processor_time():
     class Sleeper:
         def init(self, image, box):
             pass

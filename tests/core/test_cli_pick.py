@@ -56,7 +56,7 @@ def enter(server) -> dict[str, str]:
     return {"Authorization": f"Bearer {json.loads(data)['key']}"}
 
 
-def test_page_comes_with_a_strict_policy_and_no_secret(server):
+def test_the_page_has_a_strict_policy_and_no_secret(server):
     for path in ("/", "/page.js", "/page.css"):
         status, headers, data = ask(server, "GET", path)
         assert status == 200
@@ -73,7 +73,7 @@ def test_page_comes_with_a_strict_policy_and_no_secret(server):
     assert ask(server, "GET", "/../__init__.py")[0] == 404
 
 
-def test_the_token_is_good_once(server, clip):
+def test_the_token_works_once(server, clip):
     assert ask(server, "GET", "/frame")[0] == 401
     assert ask(server, "POST", "/claim", {"token": "guess"})[0] == 403
     assert ask(server, "POST", "/claim", {})[0] == 403
@@ -99,7 +99,7 @@ def test_another_host_or_origin_is_refused(server):
     assert not server.chosen.is_set()
 
 
-def test_a_bad_box_is_refused_and_a_good_one_ends_it(server):
+def test_a_bad_box_is_refused_and_a_good_one_ends_the_server(server):
     key = enter(server)
     assert ask(server, "POST", "/box", {"box": [1, 1, 9, 9]})[0] == 401
     bad = [
@@ -172,7 +172,7 @@ def opened(browser, address, **options):
     return page
 
 
-def test_draw_with_the_mouse(browser, command, clip):
+def test_a_box_is_drawn_with_the_mouse(browser, command, clip):
     process, address = command
     page = opened(browser, address, viewport={"width": 1000, "height": 800})
     assert "#" not in page.url
@@ -192,7 +192,7 @@ def test_draw_with_the_mouse(browser, command, clip):
     assert page.complaints == []
 
 
-def test_touch_on_a_phone(browser, command, clip):
+def test_a_box_is_drawn_by_touch(browser, command, clip):
     process, address = command
     page = opened(browser, address, viewport={"width": 390, "height": 780}, has_touch=True, is_mobile=True)
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
@@ -212,7 +212,7 @@ def test_touch_on_a_phone(browser, command, clip):
     assert page.complaints == []
 
 
-def test_keyboard_alone(browser, command):
+def test_a_box_is_drawn_with_the_keyboard_alone(browser, command):
     process, address = command
     page = opened(browser, address)
     assert page.evaluate("document.activeElement.id") == "stage"
@@ -232,7 +232,7 @@ def test_keyboard_alone(browser, command):
     assert page.complaints == []
 
 
-def test_a_spent_address_says_so(browser, command):
+def test_a_used_address_says_so(browser, command):
     _, address = command
     opened(browser, address)
     page = browser.new_context().new_page()

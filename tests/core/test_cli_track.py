@@ -106,7 +106,7 @@ def test_otb_text_is_one_based(folder, box, truth, tmp_path):
     assert boxes == pytest.approx(one_based(truth), abs=6e-4)
 
 
-def test_mot_text(folder, box, truth):
+def test_mot_lines_are_one_based_and_have_a_confidence(folder, box, truth):
     done = track(folder, "--box", box, "--format", "mot")
     rows = np.loadtxt(io.StringIO(done.stdout), delimiter=",")
     assert rows.shape == (LENGTH, 10)

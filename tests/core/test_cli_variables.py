@@ -17,7 +17,7 @@ def _bare(monkeypatch: pytest.MonkeyPatch) -> None:
             monkeypatch.delenv(name)
 
 
-def test_the_nearest_name_is_proposed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_nearest_known_name_is_proposed(monkeypatch: pytest.MonkeyPatch) -> None:
     settings = ["MFCMT_LANES", "MFCMT_PORT", "MFCMT_STATE_DIR"]
     assert unread_variables(settings) == []
     for name in (*settings, "MFCMT_OTB_ROOT", "MFCMT_CI"):
@@ -40,7 +40,7 @@ def test_what_kubernetes_sets_is_not_a_misspelling(monkeypatch: pytest.MonkeyPat
     assert unread_variables(["MFCMT_PORT"]) == []
 
 
-def test_eval_and_bench_tell_of_their_own_variable_alone(
+def test_eval_and_bench_warn_about_their_own_variable_only(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("MFCMT_OTB_ROT", "/data")

@@ -59,7 +59,7 @@ def run(*words: object, **changes: str) -> str:
     return done.stdout
 
 
-def test_warm_means_that_nothing_is_compiled():
+def test_after_warmup_nothing_is_compiled():
     run(SCRIPT, "warmup")
     said = run(SCRIPT, "warmup")
     assert f"{len(list(warmup.dispatchers()))} kernels are ready" in said
@@ -69,7 +69,7 @@ def test_warm_means_that_nothing_is_compiled():
     assert hits >= 10
 
 
-def test_what_the_second_process_compiles_is_what_a_tracker_needs():
+def test_the_second_process_compiles_kernels_that_a_tracker_needs():
     """Then the first finds it ready; it has compiled everything else meanwhile."""
     run(SCRIPT, "warmup")
     code = "from mfcmt_core.cli import warmup; warmup.help_out(); found = list(warmup.dispatchers())\n"
@@ -92,7 +92,7 @@ def test_kernels_are_counted_while_they_are_compiled(monkeypatch, capsys):
     assert capsys.readouterr().out == ""
 
 
-def test_prebuilt_kernels_are_copied_to_where_one_may_write(tmp_path):
+def test_prebuilt_kernels_are_copied_to_the_writable_cache(tmp_path):
     run(SCRIPT, "warmup")
     said = run(SCRIPT, "warmup", NUMBA_CACHE_DIR=str(tmp_path / "cache"))
     assert "kernels are ready" in said
@@ -108,14 +108,14 @@ def test_another_cpu_compiles_its_own_beside_the_others(tmp_path):
         assert run(sys.executable, "-c", ONE_KERNEL, **target, **cache) == "0 1\n"
 
 
-def test_without_any_place_for_the_cache_kernels_still_work(monkeypatch):
+def test_kernels_work_without_a_writable_cache(monkeypatch):
     monkeypatch.setattr(numba.core.caching.CacheImpl, "_locator_classes", [])
     double = kernel(lambda x: x + x)
     assert double(np.float32(2)) == 4
     assert double.stats.cache_path is None
 
 
-def test_kernels_for_a_cpu_that_has_more_than_this_one_are_not_used() -> None:
+def test_kernels_for_a_cpu_with_more_instructions_are_not_used() -> None:
     have = get_host_cpu_features()
     beyond = [level for level in cpu.LEVELS if cpu.lacking(level, have)]
     require(beyond or platform.machine() != "x86_64", "this CPU has all the instructions that there are to lack")
@@ -125,7 +125,7 @@ def test_kernels_for_a_cpu_that_has_more_than_this_one_are_not_used() -> None:
         assert told.split()[-1] != level
 
 
-def test_a_level_fits_where_all_its_instructions_are() -> None:
+def test_a_level_fits_if_all_its_instructions_are_there() -> None:
     everything = dict.fromkeys(cpu.LEVELS["x86-64-v4"], True)
     assert [cpu.lacking(level, everything) for level in cpu.LEVELS] == [set()] * 3
     haswell = everything | dict.fromkeys(cpu.LEVELS["x86-64-v4"] - cpu.LEVELS["x86-64-v3"], False)

@@ -55,7 +55,7 @@ def test_equation_6_is_the_regression_of_equation_5():
     assert np.count_nonzero(m.lookup) <= len(seen)
 
 
-def test_equation_4_by_bin():
+def test_equation_4_gives_the_histograms_per_bin():
     """For each bin alone no other value does better than equation 6."""
     m = model()
     bins = m.bins(few_colors(3)).copy()
@@ -91,7 +91,7 @@ def test_regions_are_the_inner_85_percent_and_all_outside_the_target():
 
 
 @pytest.mark.parametrize("unseen", [0.0, 0.5])
-def test_unseen_colours(unseen):
+def test_unseen_colors_have_the_configured_likelihood(unseen):
     m = model(unseen_likelihood=unseen)
     bins = m.bins(few_colors())
     m.learn(bins, first=True)
@@ -112,7 +112,7 @@ def test_equation_7_is_the_box_mean(is_gray):
     assert 0 <= out.min() <= out.max() <= 1 + 1e-4
 
 
-def test_a_band_of_the_same_colours_counts_against_a_box():
+def test_a_band_of_the_same_colors_counts_against_a_box():
     """Likely colours all over leave half of their likelihood; inside the box alone, all of it."""
     m = model()
     out = np.empty((len(m.rows), len(m.columns)), np.float32)
@@ -130,7 +130,7 @@ def test_a_band_of_the_same_colours_counts_against_a_box():
 
 
 @pytest.mark.parametrize("shift", [(0, 0), (8, -4), (-12, 16)])
-def test_the_target_s_colours_are_found_where_they_moved_to(shift):
+def test_the_target_s_colors_are_found_at_their_new_place(shift):
     m = model()
     search = SearchWindow(CONFIG, (56.0, 44.0))
 
@@ -147,7 +147,7 @@ def test_the_target_s_colours_are_found_where_they_moved_to(shift):
     assert (4 * (column - search.reach[0]), 4 * (row - search.reach[1])) == shift
 
 
-def test_equation_11_on_histograms():
+def test_equation_11_averages_histograms():
     m, other = model(histogram_learning_rate=0.25), model()
     m.learn(m.bins(few_colors(0)), first=True)
     before = histograms(m)
@@ -180,7 +180,7 @@ def test_the_regions_move_with_the_target(offset):
 
 
 @pytest.mark.parametrize("offset", [(2.0, -1.0), (-1.0, 3.0)])
-def test_colours_learned_off_the_middle_are_those_of_a_target_there(offset):
+def test_colors_learned_off_the_middle_are_those_of_a_target_there(offset):
     """A patch rolled back to the middle has the same target; the ground is one colour."""
     m, other = model(), model()
     patch = np.full((100, 100, 3), (40, 90, 40), np.uint8)
@@ -192,7 +192,7 @@ def test_colours_learned_off_the_middle_are_those_of_a_target_there(offset):
     np.testing.assert_allclose(m.lookup, other.lookup, atol=1e-6)
 
 
-def test_histograms_are_scaled_back_before_they_overflow():
+def test_histograms_are_rescaled_before_they_overflow():
     """Where the look-up of what is still seen does not change, and what was seen long ago is forgotten."""
     m = model()
     m.learn(m.bins(few_colors(0)), first=True)
@@ -227,12 +227,12 @@ def test_refresh_gives_the_same_table_bit_for_bit():
     assert np.array_equal(m.histograms, kept)
 
 
-def test_a_bin_is_five_bits_a_channel():
+def test_a_bin_is_five_bits_per_channel():
     picture = np.random.default_rng(5).integers(0, 256, (37, 41, 3)).astype(np.uint8)
     assert np.array_equal(model().bins(picture), reference.bin_pixels(picture))
 
 
-def test_grey_has_one_axis_of_bins():
+def test_a_gray_target_has_one_axis_of_bins():
     assert model(is_gray=True).lookup.shape == (32,)
     assert model(is_gray=False).lookup.shape == (32768,)
 

@@ -10,7 +10,7 @@ import pytest
 from mfcmt_core import BadConfig, MFCMTConfig
 
 
-def test_paper_preset_says_what_the_paper_says():
+def test_the_paper_preset_has_the_parameters_of_the_paper():
     c = MFCMTConfig.paper()
     assert set(c.features) == {"gray", "fhog", "color_names"}
     assert not c.joint_filter
@@ -37,13 +37,13 @@ def test_default_preset_shares_windows_and_interpolates_scales():
 
 
 @pytest.mark.parametrize(("num_scales", "scale_samples"), [(1, 3), (3, 101), (33, 33), (33, 15), (101, 3)])
-def test_samples_may_be_more_or_less_than_scales(num_scales, scale_samples):
+def test_there_may_be_more_or_fewer_samples_than_scales(num_scales, scale_samples):
     config = MFCMTConfig.default().replace(num_scales=num_scales, scale_samples=scale_samples, scale_step=1.01)
     assert (config.num_scales, config.scale_samples) == (num_scales, scale_samples)
 
 
 @pytest.mark.parametrize("name", ["default", "paper"])
-def test_presets_are_plain_values_and_back(name):
+def test_presets_survive_a_round_trip_through_plain_values(name):
     config = MFCMTConfig.preset(name)
     values = json.loads(json.dumps(config.to_dict()))
     assert MFCMTConfig.from_dict(values) == config

@@ -74,7 +74,7 @@ def run_here(preset):
     return digest(list(tracker.track(clip.frames[:12], clip.boxes[0]))), tracker
 
 
-def test_in_another_process(tmp_path):
+def test_another_process_gives_the_same_bits(tmp_path):
     """Also with another hash seed; and a snapshot goes on there."""
     one = run_elsewhere(str(tmp_path) + "/", PYTHONHASHSEED="1")
     two = run_elsewhere(PYTHONHASHSEED="2")
@@ -104,7 +104,7 @@ def jobs():
     return [(plan, digest(list(MFCMT(plan[0]).track(*plan[1:])))) for plan in plans]
 
 
-def test_interleaved_in_one_thread(jobs):
+def test_interleaved_trackers_give_the_same_bits(jobs):
     """Scratch arrays are shared: each tracker must find its own after the others used them."""
     runs = [MFCMT(config).track(frames, box) for (config, frames, box), _ in jobs]
     results = [[] for _ in runs]
@@ -114,7 +114,7 @@ def test_interleaved_in_one_thread(jobs):
     assert [digest(out) for out in results] == [expected for _, expected in jobs]
 
 
-def test_in_many_threads_at_once(jobs):
+def test_trackers_in_many_threads_give_the_same_bits(jobs):
     barrier = Barrier(len(jobs))
 
     def work(job):
@@ -126,7 +126,7 @@ def test_in_many_threads_at_once(jobs):
         assert all(all(same) for same in pool.map(work, jobs))
 
 
-def test_every_frame_in_another_thread(jobs):
+def test_a_tracker_may_change_its_thread_with_every_frame(jobs):
     (config, frames, box), expected = jobs[0]
     tracker = MFCMT(config)
     results = [tracker.init(frames[0], box)]
@@ -136,7 +136,7 @@ def test_every_frame_in_another_thread(jobs):
     assert digest(results) == expected
 
 
-def test_maps_of_interleaved_trackers(jobs):
+def test_maps_of_interleaved_trackers_are_their_own(jobs):
     """What was asked for is a copy of the right maps."""
     (config, frames, box), _ = jobs[0]
     alone, one, other = (MFCMT(config) for _ in range(3))

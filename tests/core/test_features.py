@@ -52,7 +52,7 @@ def test_cues_are_blocks_in_order():
             assert np.array_equal(extract(alone, patch()), everything[:, block])
 
 
-def test_colour_names_are_left_out_of_grey_sequences():
+def test_a_gray_target_has_no_color_names():
     stack = FeatureStack(CONFIG, is_gray=True)
     assert set(stack.blocks) == set(CUES) - {"color_names"}
     gray = patch()[..., 0].copy()
@@ -73,7 +73,7 @@ def test_any_patch_size_gives_whole_cells(side):
     assert np.array_equal(features, extract(whole, inner))
 
 
-def test_layout_of_the_patch_does_not_matter():
+def test_the_memory_layout_of_the_patch_does_not_matter():
     stack = FeatureStack(CONFIG, is_gray=False)
     expected = extract(stack, patch())
     fortran = np.asfortranarray(patch())
@@ -98,13 +98,13 @@ COLORS = {
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_colours_get_their_names(name):
+def test_colors_get_their_names(name):
     weights = memberships([COLORS[name]])[0]
     assert NAMES[weights.argmax()] == name
     assert weights.max() > 0.5
 
 
-def test_memberships_are_shares():
+def test_memberships_are_positive_and_sum_to_one():
     rgb = np.random.default_rng(0).integers(0, 256, (5000, 3))
     weights = memberships(rgb)
     assert weights.shape == (5000, 11)

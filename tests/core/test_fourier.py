@@ -14,7 +14,7 @@ def grids_of(n, channels):
 
 @pytest.mark.parametrize("n", [8, 9, 25, 30, 37, 64, 128])
 @pytest.mark.parametrize("channels", [1, 5])
-def test_forward(n, channels):
+def test_forward_equals_numpy_s_transform(n, channels):
     grids = grids_of(n, channels)
     spectra = Transform(n, (2, 2)).forward(grids)
     assert spectra.dtype == np.complex64
@@ -31,7 +31,7 @@ def test_spectra_are_not_scratch():
 
 
 @pytest.mark.parametrize(("n", "reach"), [(8, (3, 2)), (25, (12, 12)), (25, (8, 4)), (37, (18, 2))])
-def test_backward(n, reach):
+def test_backward_equals_numpy_s_inverse(n, reach):
     """The displacements within reach, x and y, zero in the middle."""
     grids = np.moveaxis(grids_of(n, 2), 1, 0)
     rx, ry = reach

@@ -23,7 +23,7 @@ def run(maps, weights=None, config=CONFIG):
     return maps.astype(float), fused.astype(float), peak
 
 
-def test_the_highest_response_of_each_map_is_told():
+def test_tops_are_the_highest_responses():
     """What the reliability tests look at, before a response becomes a probability."""
     maps = np.random.default_rng(3).normal(size=(4, 7, 9)).astype(np.float32)
     assert run(maps)[2].tops == maps.max((1, 2)).tolist()
@@ -70,7 +70,7 @@ def test_identical_maps_stay_unchanged(maps, weights):
 
 @settings(max_examples=40, deadline=None)
 @given(MAPS, WEIGHTS, st.sampled_from([0.25, 3.0, 1000.0]))
-def test_responses_have_no_unit(maps, weights, factor):
+def test_scaling_a_response_does_not_change_the_fused_map(maps, weights, factor):
     """A probability map does not know how high its response was."""
     _, q, _ = run(maps, weights)
     _, scaled, _ = run(maps * np.float32(factor), weights)
@@ -95,7 +95,7 @@ def test_weights_are_those_of_the_weighted_mean():
         ("minimum", 2, lambda r: (r - r.min()) ** 2),
     ],
 )
-def test_how_a_response_becomes_a_probability_map(probability, sharpness, expected):
+def test_each_choice_of_probability_makes_its_map(probability, sharpness, expected):
     maps = np.random.default_rng(1).standard_normal((2, 7, 7)).astype(np.float32)
     p, _, _ = run(maps, config=CONFIG.replace(probability=probability, sharpness=sharpness))
     for actual, response in zip(p, maps.astype(float), strict=True):
@@ -103,7 +103,7 @@ def test_how_a_response_becomes_a_probability_map(probability, sharpness, expect
         np.testing.assert_allclose(actual, wanted / wanted.sum(), atol=1e-6)
 
 
-def test_raw_responses_stay_as_they_are():
+def test_raw_responses_are_not_changed():
     maps = np.random.default_rng(1).standard_normal((2, 7, 7)).astype(np.float32)
     p, q, _ = run(maps, config=CONFIG.replace(probability="raw"))
     np.testing.assert_array_equal(p, maps)
@@ -112,7 +112,7 @@ def test_raw_responses_stay_as_they_are():
 
 @pytest.mark.parametrize("probability", ["clip", "minimum", "raw"])
 @pytest.mark.parametrize("value", [0.0, -1.0, 0.3])
-def test_flat_maps_leave_the_target_where_it_is(probability, value):
+def test_flat_maps_do_not_move_the_target(probability, value):
     _, q, peak = run(np.full((3, 9, 11), value), config=CONFIG.replace(probability=probability))
     assert peak.displacement == (0, 0)
     assert peak.psr == 0

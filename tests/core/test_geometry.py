@@ -32,7 +32,7 @@ def test_a_box_needs_a_quarter_of_its_area_in_the_frame(x, y, w, h):
             check_box((x, y, w, h), (640, 480))
 
 
-def test_a_box_below_a_pixel_is_refused_and_shares_of_the_frame_are_named():
+def test_a_box_below_a_pixel_is_refused_with_a_hint_to_fractions():
     with pytest.raises(BadBox, match="pixels and not shares of the frame"):
         check_box((0.4, 0.33, 0.2, 0.32), (640, 480))
     with pytest.raises(BadBox, match=r"less than a pixel; a box is x, y, w, h in pixels \("):
@@ -40,7 +40,7 @@ def test_a_box_below_a_pixel_is_refused_and_shares_of_the_frame_are_named():
     assert check_box((40, 33, 1, 1), (640, 480)) == (40, 33, 1, 1)
 
 
-def test_a_box_outside_says_the_frames_size_and_knows_corners():
+def test_a_box_outside_the_frame_is_refused_with_a_hint_to_corners():
     with pytest.raises(BadBox, match=r"in the frame of 640x480; a box is x, y, w, h \("):
         check_box((700, 10, 30, 30), (640, 480))
     with pytest.raises(BadBox, match="as corners x1, y1, x2, y2"):
@@ -50,7 +50,7 @@ def test_a_box_outside_says_the_frames_size_and_knows_corners():
 
 
 @pytest.mark.parametrize("kind", [tuple, list, np.array, iter, lambda v: np.array(v, np.float32), lambda v: (*v,)])
-def test_any_four_numbers_are_a_box(kind):
+def test_a_box_may_be_any_iterable_of_four_numbers(kind):
     box = check_box(kind([1, 2, 30, 40]), (100, 100))
     assert box == (1, 2, 30, 40)
     assert all(type(v) is float for v in box)
@@ -123,7 +123,7 @@ def test_sample_repeats_the_border_of_the_region(rect, region, out_size, in_colo
 
 @pytest.mark.parametrize("step", [1, 2, 3, 7, 49])
 @pytest.mark.parametrize("kind", ["whole", "upside down", "mirrored", "thinned", "other channels", "by columns"])
-def test_columns_are_those_of_a_slice(step, kind):
+def test_columns_equal_a_slice(step, kind):
     """Also at steps that do not divide the width, and whose reciprocal's reciprocal is not they."""
     image = np.random.default_rng(step).integers(0, 256, (20, 301, 3), np.uint8)
     rows = {
@@ -139,7 +139,7 @@ def test_columns_are_those_of_a_slice(step, kind):
         assert np.array_equal(_columns(rows, first, last, step), rows[:, first:last:step])
 
 
-def test_frame_says_what_it_needs():
+def test_a_frame_without_the_needed_pixels_is_refused():
     frame = Frame.of(np.zeros((40, 50), np.uint8), (10, 20), (100, 100))
     assert frame.rect == (10, 20, 50, 40)
     frame.require((10, 20, 50, 40))
@@ -151,7 +151,7 @@ def test_frame_says_what_it_needs():
 
 
 @pytest.mark.parametrize("offset", [(-1, 0), (51, 0), (0, 61), (0.5, 0), None, (1,), (float("nan"), 0), "ab"])
-def test_a_cut_lies_in_its_frame(offset):
+def test_a_region_must_lie_in_its_frame(offset):
     with pytest.raises(BadImage):
         Frame.of(np.zeros((40, 50), np.uint8), offset, (100, 100))
 
@@ -167,7 +167,7 @@ def middle_of(patch):
 
 @pytest.mark.parametrize("base", [(40.0, 30.0), (30.0, 81.0), (8.0, 8.0), (1000.0, 640.0), (4.0, 400.0)])
 @pytest.mark.parametrize("factor", [1.5, 2.0, 2.5])
-def test_windows(base, factor):
+def test_windows_have_the_size_of_their_shape(base, factor):
     w, h = base
     expected = {
         "target": (factor * w, factor * h),
@@ -202,7 +202,7 @@ def test_paper_s_window_is_twice_the_target_at_150():
     st.integers(-12, 12),
     st.sampled_from([0.0, 1.0]),
 )
-def test_displacements_count_from_the_middle_of_the_whole_pixel_cut(x, y, w, h, scale, dx, dy, learn_within):
+def test_displacements_count_from_the_middle_of_the_whole_pixel_window(x, y, w, h, scale, dx, dy, learn_within):
     search = SearchWindow(CONFIG.replace(learn_within=learn_within), (w, h))
     image = np.zeros((480, 640), np.uint8)
     patch = search.crop(Frame.of(image), (0, 0, 640, 480), (x, y), scale)
@@ -220,7 +220,7 @@ def test_displacements_count_from_the_middle_of_the_whole_pixel_cut(x, y, w, h, 
     assert place[1] - patch.center[1] == pytest.approx(4 * dy * rh / side)
 
 
-def test_displacement_of_a_real_shift():
+def test_a_real_shift_has_its_displacement():
     """A patch that shows the image moved by whole cells leads back to the place."""
     search = SearchWindow(CONFIG, (40.0, 40.0))  # window of 100×100 and 12 around: a patch pixel is an image pixel
     image = np.random.default_rng(3).integers(0, 256, (300, 300), np.uint8)
@@ -233,7 +233,7 @@ def test_displacement_of_a_real_shift():
 
 
 @pytest.mark.parametrize("patch_size", [32, 100, 150])
-def test_there_is_a_margin_where_windows_near_by_are_learned(patch_size):
+def test_a_window_has_a_margin_if_nearby_windows_are_learned(patch_size):
     """An eighth of the patch on each side, at the same scale: its middle is the patch without one."""
     config = CONFIG.replace(patch_size=patch_size)
     with_margin, without = (SearchWindow(config.replace(learn_within=cells), (40.0, 40.0)) for cells in (1.0, 0.0))

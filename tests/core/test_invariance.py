@@ -29,7 +29,7 @@ LAYOUTS = {
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_layout_of_the_image_does_not_matter(layout, frames, clip):
+def test_the_memory_layout_of_the_image_does_not_matter(layout, frames, clip):
     box = clip.boxes[0] + (-120, -90, 0, 0)  # over the border, so that both ways of cutting are used
     expected = [MFCMT(DEFAULT).init(frames[0], box), *MFCMT(DEFAULT).track(frames[:5], box)]
     laid_out = [LAYOUTS[layout](frame) for frame in frames[:5]]
@@ -42,7 +42,7 @@ def test_layout_of_the_image_does_not_matter(layout, frames, clip):
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_grey_in_colour_is_grey(preset):
+def test_gray_frames_may_have_one_channel_or_three(preset):
     """A grey sequence may come as (H, W) or as (H, W, 3), also one frame so and the next otherwise."""
     sequence = synthetic.clip("grey", length=60)
     flat = sequence.frames[:12]
@@ -53,7 +53,7 @@ def test_grey_in_colour_is_grey(preset):
                  sequence.boxes[0]) == expected  # fmt: skip
 
 
-def test_a_colour_target_survives_grey_frames(frames, clip):
+def test_a_color_target_survives_gray_frames(frames, clip):
     mixed = [frames[0], *[cv2.cvtColor(f, cv2.COLOR_BGR2GRAY) if i % 3 else f for i, f in enumerate(frames[1:12])]]
     results = track(DEFAULT, mixed, clip.boxes[0])
     assert overlap(boxes_of(results), clip.boxes[:12]).min() > 0.5
@@ -121,6 +121,6 @@ def test_the_order_of_cues_does_not_matter(frames, clip, order):
     ],
     ids=str,
 )
-def test_every_choice_tracks(changes, frames, clip):
+def test_every_choice_of_a_parameter_tracks(changes, frames, clip):
     results = track(DEFAULT.replace(**changes), frames[:15], clip.boxes[0])
     assert overlap(boxes_of(results), clip.boxes[:15]).mean() > (0.4 if changes == {"features": ()} else 0.7)

@@ -83,7 +83,7 @@ def test_direction(seed):
     assert along[hog.direction(dx, dy)] == pytest.approx(along.max())
 
 
-def test_direction_of_every_quarter():
+def test_directions_of_all_quadrants():
     for angle in np.arange(0, 360, 7.3):  # none half-way between two directions
         dx, dy = np.float32(np.cos(np.radians(angle))), np.float32(np.sin(np.radians(angle)))
         assert hog.direction(dx, dy) == round(angle / 20) % 18

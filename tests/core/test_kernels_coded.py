@@ -40,7 +40,7 @@ def test_fill_stops_at_the_end():
         assert coded.fill(data_of(0x12, *tail), *START) == (1, 0x12, 8)
 
 
-def test_look():
+def test_peek_returns_the_next_code():
     codes = table(7, 8, 9, 10)
     assert coded.peek(codes, 0, 0b0_10_110_11, 8) == 1 << 8 | 7
     assert coded.peek(codes, 0, 0b0_10_110_11, 7) == 2 << 8 | 8
@@ -136,13 +136,13 @@ def strictly(data):
 
 
 @pytest.mark.parametrize("data", SAMPLES.values(), ids=SAMPLES)
-def test_a_good_picture_stays_as_it_is(data):
+def test_a_faultless_picture_is_not_changed(data):
     assert np.array_equal(strictly(mend(data))[0], strictly(data)[0])
 
 
 @settings(deadline=None)
 @given(st.sampled_from(sorted(SAMPLES)), st.integers(0, 10**6), st.integers(1, 255))
-def test_what_libjpeg_warns_of_is_damage_and_nothing_else(name, place, change):
+def test_a_jpeg_is_damaged_exactly_if_libjpeg_warns(name, place, change):
     """One byte of the coded data is changed, but no marker is made or lost."""
     data = bytearray(SAMPLES[name])
     at = jpegs.segments(SAMPLES[name])[1]

@@ -55,7 +55,7 @@ def test_respond_filters(spectra, background):
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0), (1.0, -2.0), (0.3, 0.71), (-9.4, 4.5)])
 @pytest.mark.parametrize("n", [8, N])
-def test_turn(n, offset):
+def test_phase_shift(n, offset):
     spectra = complex_noise(np.random.default_rng(9), 5, n, n // 2 + 1)
     expected = reference.phase_shift(spectra, *offset)
     template.phase_shift(spectra, *offset)
@@ -64,7 +64,7 @@ def test_turn(n, offset):
 
 @pytest.mark.parametrize("n", [8, N])
 @pytest.mark.parametrize("offset", [(1, 0), (0, 1), (-3, 2), (4, 4)])
-def test_a_rolled_picture_is_turned_back(n, offset):
+def test_phase_shift_undoes_a_roll(n, offset):
     """``offset`` (x, y) cells: where what was in the middle has gone to."""
     grids = np.random.default_rng(10).standard_normal((3, n, n))
     dx, dy = offset
@@ -74,7 +74,7 @@ def test_a_rolled_picture_is_turned_back(n, offset):
 
 
 @pytest.mark.parametrize("offset", [(0.5, 0.25), (-1.3, 0.8)])
-def test_a_part_of_a_cell_is_the_wave_between_the_cells(offset):
+def test_phase_shift_by_a_fraction_of_a_cell(offset):
     """The sum of waves through a picture's cells, evaluated beside them."""
     grid = np.random.default_rng(11).standard_normal((N, N))
     spectra = np.fft.rfft2(grid[None]).astype(np.complex64)
@@ -112,7 +112,7 @@ def test_learn_spectra(spectra, rate):
 
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0), (0.4, -0.7)])
-def test_follow_spectra(spectra, label_f, offset):
+def test_learn_shifted_spectra(spectra, label_f, offset):
     """The parts in one call."""
     rng = np.random.default_rng(12)
     numerator = complex_noise(rng, *spectra.shape)

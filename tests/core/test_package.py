@@ -37,7 +37,7 @@ def test_import_is_cheap():
     assert run(f"import mfcmt_core.cli; print({heavy})").strip() == "set()"
 
 
-def test_public_names():
+def test_all_public_names_exist():
     for name in mfcmt_core.__all__:
         assert getattr(mfcmt_core, name) is not None
     with pytest.raises(AttributeError, match="nosuch"):
@@ -103,7 +103,7 @@ def arrays_of(thing, seen=None):
 
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("box", [(132, 98, 56, 44), (160, 20, 4, 200), (50, 50, 1, 100)])
-def test_memory_of_a_tracker(box, preset, frames):
+def test_a_tracker_takes_little_memory(box, preset, frames):
     """At most 1.5 MB beside what all trackers of a process share."""
     MFCMT(PRESETS[preset]).init(frames[0], box)
     list(MFCMT(PRESETS[preset]).track(frames[:5], box))  # scratch of these shapes is there

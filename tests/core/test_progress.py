@@ -53,14 +53,14 @@ def on_a_terminal(call: list[str]) -> str:
     return said.decode()
 
 
-def test_a_terminal_is_told_how_much_is_done_and_how_long_the_rest_takes() -> None:
+def test_a_terminal_shows_progress_and_the_time_left() -> None:
     said = on_a_terminal([sys.executable, "-c", WORK])
     assert re.search(r"2/4 things  \d:\d\d left  .*two", said)
     assert re.search(r"━+  4/4 things  in \d:\d\d", said)
     assert said.endswith("\n")
 
 
-def test_a_narrow_terminal_keeps_it_in_one_line() -> None:
+def test_a_narrow_terminal_shows_progress_in_one_line() -> None:
     long = WORK.replace('"two"', '"two" * 99')
     for drawn in on_a_terminal([sys.executable, "-c", long]).split("\r\x1b[2K"):
         assert len(drawn.strip()) < 80
@@ -74,6 +74,6 @@ def test_long_commands_show_their_progress_with_the_time_left(command: list[str]
 
 
 @pytest.mark.parametrize("command", [SHORT[0], SHORT[1], SHORT[4]], ids=lambda command: command[0])
-def test_a_pipe_gets_nothing_of_it(command: list[str]) -> None:
+def test_a_pipe_shows_no_progress(command: list[str]) -> None:
     done = subprocess.run([SCRIPT, *command], capture_output=True, text=True, timeout=400, check=False)
     assert (done.returncode, done.stderr) == (0, "")

@@ -32,7 +32,7 @@ def load(root, name, length):
         ("Car1", 60, 0.8, 0.8),
     ],
 )
-def test_mean_overlap(otb_root, name, length, default, paper):
+def test_real_sequences_are_tracked_with_their_known_overlap(otb_root, name, length, default, paper):
     frames, truth = load(otb_root, name, length)
     assert len(frames) == len(truth) == length
     for preset, bound in (("default", default), ("paper", paper)):
@@ -42,7 +42,7 @@ def test_mean_overlap(otb_root, name, length, default, paper):
         assert overlap(boxes_of(results), truth).mean() > bound
 
 
-def test_grey_sequences_are_known_as_such(otb_root):
+def test_gray_sequences_are_recognized(otb_root):
     """Stored with three channels all the same; Man only looks like it."""
     for name, gray in (("Car1", True), ("Jumping", True), ("Man", False), ("MountainBike", False)):
         frames, truth = load(otb_root, name, 2)

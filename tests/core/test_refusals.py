@@ -102,7 +102,7 @@ def unchanged(running, frames):
 
 @pytest.mark.usefixtures("unchanged")
 @pytest.mark.parametrize("box", BOXES, ids=repr)
-def test_bad_box(box, running, frames):
+def test_a_bad_box_is_refused_and_changes_nothing(box, running, frames):
     with pytest.raises(BadBox):
         running.init(frames[5], box)
     with pytest.raises(BadBox):
@@ -111,7 +111,7 @@ def test_bad_box(box, running, frames):
 
 @pytest.mark.usefixtures("unchanged")
 @pytest.mark.parametrize("image", IMAGES, ids=lambda v: f"{getattr(v, 'dtype', v)}{getattr(v, 'shape', '')}")
-def test_bad_image(image, running, clip):
+def test_a_bad_image_is_refused_and_changes_nothing(image, running, clip):
     with pytest.raises(BadImage):
         running.update(image)
     with pytest.raises(BadImage):
@@ -120,14 +120,14 @@ def test_bad_image(image, running, clip):
 
 @pytest.mark.usefixtures("unchanged")
 @pytest.mark.parametrize("shape", [(239, 320, 3), (240, 321, 3), (480, 640, 3), (320, 240), (1, 1)])
-def test_another_frame_size(shape, running):
+def test_another_frame_size_is_refused(shape, running):
     with pytest.raises(BadImage, match=r"\(320, 240\)"):
         running.update(np.zeros(shape, np.uint8))
 
 
 @pytest.mark.usefixtures("unchanged")
 @pytest.mark.parametrize("cut", CUTS, ids=str)
-def test_bad_cut(cut, running, frames, clip):
+def test_a_bad_region_is_refused(cut, running, frames, clip):
     with pytest.raises(BadImage):
         running.update(frames[2], **cut)
     with pytest.raises(BadImage):
@@ -136,7 +136,7 @@ def test_bad_cut(cut, running, frames, clip):
 
 @pytest.mark.usefixtures("unchanged")
 @pytest.mark.parametrize("missing", range(4))
-def test_region_too_small(missing, running, frames, clip):
+def test_a_region_that_is_too_small_is_refused(missing, running, frames, clip):
     """A cut that lacks one row or column of what is needed."""
     x, y, w, h = running.needed_region()
     x0, y0, x1, y1 = x + (missing == 0), y + (missing == 1), x + w - (missing == 2), y + h - (missing == 3)
@@ -150,7 +150,7 @@ def test_region_too_small(missing, running, frames, clip):
         running.init(frames[2][90:150, 130:200], clip.boxes[2], offset=(130, 90), frame_size=(320, 240))
 
 
-def test_a_start_that_is_refused_is_no_start(frames):
+def test_a_refused_start_does_not_start(frames):
     tracker = MFCMT()
     with pytest.raises(BadBox):
         tracker.init(frames[0], (0, 0, 0, 0))
@@ -168,12 +168,12 @@ def test_a_start_that_is_refused_is_no_start(frames):
         lambda t, f: t.region(),
     ],
 )
-def test_not_initialised(call, frames):
+def test_calls_before_init_are_refused(call, frames):
     with pytest.raises(NotInitialised, match="init"):
         call(MFCMT(), frames[0])
 
 
-def test_a_stream_that_goes_bad_ends_at_the_bad_frame(frames, clip):
+def test_track_ends_at_a_bad_frame(frames, clip):
     results = MFCMT().track([frames[0], frames[1], None, frames[2]], clip.boxes[0])
     next(results)
     next(results)
@@ -192,7 +192,7 @@ def test_a_stream_that_goes_bad_ends_at_the_bad_frame(frames, clip):
         (NotInitialised, RuntimeError),
     ],
 )
-def test_every_error_is_the_package_s(error, builtin):
+def test_every_error_derives_from_the_package_s_base(error, builtin):
     assert issubclass(error, MFCMTError)
     assert issubclass(error, builtin)
     assert error.__name__ in mfcmt_core.__all__

@@ -65,13 +65,13 @@ def compare(config, frames, box, starts=()):
 
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("scene", ["motion", "scale", "grey", "small"])
-def test_while_tracking(scene, preset):
+def test_a_region_gives_the_frame_s_result_while_tracking(scene, preset):
     sequence = synthetic.clip(scene)
     compare(PRESETS[preset], sequence.frames[:45:3], sequence.boxes[0])
 
 
 @pytest.mark.parametrize("config", [ALERT, MFCMTConfig.paper().replace(lost_after=8)], ids=["alert", "paper"])
-def test_through_lost_and_back(config):
+def test_a_region_gives_the_frame_s_result_through_lost_and_back(config):
     """At the border, out of the frame, lost, and found again; begun shortly before."""
     sequence = synthetic.clip("leaves")
     statuses = compare(config, sequence.frames[38:124], sequence.boxes[38])
@@ -81,25 +81,25 @@ def test_through_lost_and_back(config):
 
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("box", [(-20, -15, 56, 44), (290, 210, 56, 44), (0, 0, 320, 240), (-100, -60, 500, 360)])
-def test_at_the_border(box, preset, frames):
+def test_a_region_gives_the_frame_s_result_at_the_border(box, preset, frames):
     compare(PRESETS[preset], frames[:5], box)
 
 
-def test_where_the_scales_look_further_than_the_window(frames, clip):
+def test_a_region_is_enough_for_scales_larger_than_the_window(frames, clip):
     """Their cut ends where the region does."""
     config = MFCMTConfig.default().replace(window="target", search_area_scale=1.2, num_scales=5, scale_step=1.5)
     compare(config, frames[:8], clip.boxes[0])
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_after_corrections(preset, frames, clip):
+def test_a_region_gives_the_frame_s_result_after_corrections(preset, frames, clip):
     corrections = [(4, (200.0, 100.0, 30.0, 60.0)), (7, (-5.0, 180.0, 40.0, 40.0)), (10, tuple(clip.boxes[10]))]
     compare(PRESETS[preset], frames[:13], clip.boxes[0], corrections)
 
 
 @settings(max_examples=25, deadline=None)
 @given(st.tuples(*[st.integers(0, 320)] * 4), st.integers(0, 2**32 - 1))
-def test_any_cut_around_what_is_needed(frames, clip, more, seed):
+def test_any_region_that_covers_the_needed_one_gives_the_same_result(frames, clip, more, seed):
     whole, narrow = MFCMT(), MFCMT()
     for tracker in (whole, narrow):
         tracker.init(frames[0], clip.boxes[0])
@@ -111,7 +111,7 @@ def test_any_cut_around_what_is_needed(frames, clip, more, seed):
         assert narrow.update(**cut(noisy, (x0, y0, x1 - x0, y1 - y0))) == whole.update(frame)
 
 
-def test_cut_may_be_a_view_of_any_layout(frames, clip):
+def test_a_region_may_be_a_view_of_any_layout(frames, clip):
     whole, narrow = MFCMT(), MFCMT()
     for tracker in (whole, narrow):
         tracker.init(frames[0], clip.boxes[0])

@@ -57,7 +57,7 @@ def test_known_scale_factors_are_recovered(image, steps, samples):
     assert abs(np.log(found / factor) / np.log(1.02)) <= 1.01
 
 
-def test_the_scale_that_is_known_already_is_taken_into_account(image):
+def test_the_present_scale_is_taken_into_account(image):
     """The target at 1.2 of its first size, looked at with scale 1.2, has not changed."""
     model = learned(image)
     assert model.estimate(spectra(model, zoomed(image, 1.2), scale=1.2)) == pytest.approx(1, abs=0.021)
@@ -80,7 +80,7 @@ def test_spectra_are_the_dft_over_scales(image, count, apart):
 
 
 @pytest.mark.parametrize("count", SAMPLES)
-def test_samples_are_what_is_seen_at_their_scales(image, count):
+def test_samples_show_the_target_at_their_scales(image, count):
     """Smaller ones before the present one, larger ones behind it: each is the present one of a target of its size."""
     model = learned(image, scale_samples=count)
     window, same = np.hanning(count + 2)[1:-1], count // 2
@@ -112,7 +112,7 @@ def test_filter_is_the_regression_along_scales(image, samples):
     np.testing.assert_allclose(along_scales(w_f, n), np.roll(w, n // 2), atol=1e-3)
 
 
-def test_learning_rate(image):
+def test_the_scale_filter_is_learned_with_its_rate(image):
     model = learned(image, scale_learning_rate=0.1)
     other = learned(zoomed(image, 1.1), scale_learning_rate=0.1)
     first, energy = model.numerator.copy(), model.energy.copy()
@@ -163,7 +163,7 @@ def test_between_the_samples_the_response_is_interpolated(image, factor):
 
 
 @pytest.mark.parametrize("samples", [33, 35, 101])
-def test_where_all_scales_are_sampled_nothing_is_interpolated(image, samples):
+def test_nothing_is_interpolated_if_all_scales_are_sampled(image, samples):
     model = learned(image, scale_samples=samples)
     assert model.count == 33
     response_f = response_f_of(model, spectra(model, zoomed(image, 1.1)))
@@ -174,7 +174,7 @@ def test_where_all_scales_are_sampled_nothing_is_interpolated(image, samples):
 
 @pytest.mark.parametrize("samples", SAMPLES)
 @pytest.mark.parametrize("steps", [-3, -1, 0, 1, 2])
-def test_a_target_that_grew_is_learned_as_if_looked_at_in_its_size(image, steps, samples):
+def test_a_grown_target_is_learned_as_if_sampled_at_its_size(image, steps, samples):
     """By whole steps between samples: the windowed features, rolled."""
     model, plain = (learned(image, scale_samples=samples) for _ in range(2))
     seen = spectra(model, zoomed(image, 1.1))
@@ -188,7 +188,7 @@ def test_a_target_that_grew_is_learned_as_if_looked_at_in_its_size(image, steps,
 
 @pytest.mark.parametrize("samples", SAMPLES)
 @pytest.mark.parametrize("growth", [1.02**-3, 1.02, 1.02**2])
-def test_a_part_of_a_step_turns_each_wave_by_its_frequency(image, growth, samples):
+def test_a_fraction_of_a_step_shifts_each_phase_by_its_frequency(image, growth, samples):
     model, plain = (learned(image, scale_samples=samples) for _ in range(2))
     seen = spectra(model, image)
     model.learn(seen, growth, first=True)
@@ -199,7 +199,7 @@ def test_a_part_of_a_step_turns_each_wave_by_its_frequency(image, growth, sample
 
 
 @pytest.mark.parametrize("steps", [-2, -1, 1, 2])
-def test_after_growth_was_learned_the_new_size_is_the_present_one(image, steps):
+def test_after_learning_growth_the_estimate_at_the_new_size_is_one(image, steps):
     """Looked at in the size before, learned with its growth, looked at in its size: no change is left."""
     factor = 1.02**steps
     grown = zoomed(image, factor)
@@ -211,7 +211,7 @@ def test_after_growth_was_learned_the_new_size_is_the_present_one(image, steps):
 
 @pytest.mark.parametrize("samples", [15, 17, 35])
 @pytest.mark.parametrize("scales", [17, 21, 35])
-def test_another_number_of_scales(image, scales, samples):
+def test_other_numbers_of_scales_work(image, scales, samples):
     """Padded to whole lanes, and the padding counts for nothing."""
     model = learned(image, num_scales=scales, scale_samples=samples, scale_step=1.04)
     assert model.estimate(spectra(model, image)) == 1
@@ -222,7 +222,7 @@ def test_another_number_of_scales(image, scales, samples):
 
 
 @pytest.mark.parametrize("value", [0, 128, 255])
-def test_nothing_to_see_keeps_the_size(image, value):
+def test_a_flat_picture_keeps_the_size(image, value):
     flat = np.full_like(image, value)
     for model in (learned(image), learned(flat)):
         assert model.estimate(spectra(model, flat)) == 1
@@ -230,7 +230,7 @@ def test_nothing_to_see_keeps_the_size(image, value):
 
 @settings(max_examples=100, deadline=None)
 @given(st.floats(1e-3, 4000), st.floats(1e-3, 4000), st.floats(64, 4096))
-def test_samples_keep_to_their_area(w, h, area):
+def test_samples_are_at_most_as_large_as_configured(w, h, area):
     """Of the target's aspect to half a cell, between 8 and 64 px a side: also for the thinnest targets."""
     model = ScaleModel(CONFIG.replace(scale_max_area=area), (w, h))
     for side, exact in ((model.width, np.sqrt(area * w / h)), (model.height, np.sqrt(area * h / w))):
@@ -240,7 +240,7 @@ def test_samples_keep_to_their_area(w, h, area):
 
 @settings(max_examples=100, deadline=None)
 @given(st.floats(1e-3, 4000), st.floats(1e-3, 4000), st.floats(1e-6, 1e6))
-def test_clamp(w, h, scale):
+def test_clamp_keeps_the_target_above_a_few_pixels_and_inside_the_frame(w, h, scale):
     model = ScaleModel(CONFIG.replace(scale_max_area=64), (w, h))
     kept = model.clamp(scale, (640, 480))
     if min(w, h) >= 5:

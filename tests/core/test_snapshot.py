@@ -30,7 +30,7 @@ DEFAULT = MFCMTConfig.default()
         DEFAULT.replace(patch_size=148, window="square"),
     ],
 )
-def test_every_later_result_is_bit_equal(config, frames, clip):
+def test_every_later_result_of_a_restored_tracker_is_bit_equal(config, frames, clip):
     tracker = MFCMT(config)
     tracker.init(frames[0], clip.boxes[0])
     restored = MFCMT.from_bytes(tracker.to_bytes())
@@ -44,7 +44,7 @@ def test_every_later_result_is_bit_equal(config, frames, clip):
 
 
 @pytest.mark.parametrize("gray", [False, True])
-def test_through_lost_and_back(gray):
+def test_a_snapshot_works_through_lost_and_back(gray):
     sequence = synthetic.clip("leaves", gray=gray)
     tracker, relayed = MFCMT(ALERT), MFCMT(ALERT)
     seen = []
@@ -65,7 +65,7 @@ def test_through_lost_and_back(gray):
 
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("box", [(132, 98, 56, 44), (160, 20, 4, 200), (10, 120, 300, 4), (50, 50, 1, 100)])
-def test_below_one_megabyte(box, preset, frames):
+def test_a_default_snapshot_is_below_one_megabyte(box, preset, frames):
     tracker = MFCMT(PRESETS[preset])
     tracker.init(frames[0], box)
     tracker.update(frames[1])
@@ -73,11 +73,11 @@ def test_below_one_megabyte(box, preset, frames):
 
 
 @pytest.mark.parametrize("kind", [bytes, bytearray, memoryview])
-def test_any_bytes(kind, data):
+def test_any_bytes_are_refused_without_another_error(kind, data):
     assert MFCMT.from_bytes(kind(data)).to_bytes() == data
 
 
-def test_format(data):
+def test_a_snapshot_has_its_format_and_version(data):
     """Versioned MessagePack with raw little-endian arrays; nothing is shared with the bytes."""
     document = msgpack.unpackb(data)
     assert document["format"] == FORMAT == "mfcmt-tracker"
@@ -203,7 +203,7 @@ CHANGES = [
 
 
 @pytest.mark.parametrize("change", CHANGES, ids=lambda change: repr(change)[:60])
-def test_fields_that_do_not_fit(change, data):
+def test_invalid_fields_are_refused(change, data):
     with pytest.raises(BadSnapshot):
         MFCMT.from_bytes(changed(data, *change))
 
@@ -220,7 +220,7 @@ def test_fields_that_do_not_fit(change, data):
         ("scale_energy", np.nan),
     ],
 )
-def test_values_that_no_tracker_has(name, value, data):
+def test_arrays_with_values_that_no_tracker_has_are_refused(name, value, data):
     packed = msgpack.unpackb(data)["arrays"][name]
     with pytest.raises(BadSnapshot, match=f"{name}.*values"):
         MFCMT.from_bytes(changed(data, "arrays", name, array(packed["shape"], value, packed["dtype"])))
@@ -229,7 +229,7 @@ def test_values_that_no_tracker_has(name, value, data):
 @pytest.mark.parametrize(
     "name", ["format", "version", "config", "frame_size", "base_size", "grey", "center", "anchor", "scale"]
 )
-def test_fields_that_are_missing(name, data):
+def test_missing_fields_are_refused(name, data):
     document = msgpack.unpackb(data)
     del document[name]
     with pytest.raises(BadSnapshot):
@@ -259,7 +259,7 @@ def test_fields_that_are_missing(name, data):
     ],
     ids=lambda value: repr(value)[:40],
 )
-def test_not_a_snapshot(value):
+def test_other_documents_are_refused(value):
     with pytest.raises(BadSnapshot):
         MFCMT.from_bytes(value)
 
@@ -275,7 +275,7 @@ def test_scores_stay_finite_after_a_flat_history(data, frames):
     assert_sane(result, (320, 240))
 
 
-def test_doubles_are_kept_to_the_bit(frames):
+def test_floats_are_kept_to_the_last_bit(frames):
     tracker = MFCMT(DEFAULT)
     tracker.init(frames[0], (132.1, 98.7, 56.3, 44.9))
     document = msgpack.unpackb(tracker.to_bytes())

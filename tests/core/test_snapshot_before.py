@@ -59,7 +59,7 @@ def scales_as_waves(scale_model):
     ids=repr,
 )
 @pytest.mark.parametrize("gray", [False, True])
-def test_the_version_before_is_read(changes, gray):
+def test_a_snapshot_of_the_previous_version_is_read(changes, gray):
     config, sequence = AS_BEFORE.replace(**changes), synthetic.clip("motion", gray=gray)
     tracker = MFCMT(config)
     for _ in tracker.track(sequence.frames[:13], sequence.boxes[0]):
@@ -79,7 +79,7 @@ def test_the_version_before_is_read(changes, gray):
 
 
 @pytest.mark.parametrize("seen", [13, 14])
-def test_the_first_of_this_version_is_read(seen):
+def test_the_first_snapshots_of_this_version_are_read(seen):
     """It said nothing of rivals or of when the scale was searched: in every second frame that was learned from."""
     sequence = synthetic.clip("motion")
     tracker = MFCMT()
@@ -100,7 +100,7 @@ def test_any_other_version_is_refused(version, frames, clip):
             MFCMT.from_bytes(msgpack.packb(document))
 
 
-def test_versions_do_not_mix(frames, clip):
+def test_the_arrays_of_one_version_are_refused_under_another(frames, clip):
     """The arrays of one under the number of the other."""
     tracker = MFCMT(AS_BEFORE)
     tracker.init(frames[0], clip.boxes[0])

@@ -41,7 +41,7 @@ def check(blob, frames):
 
 @FUZZ
 @given(st.lists(st.tuples(st.integers(0, 2**30), st.integers(1, 255)), min_size=1, max_size=20), st.booleans())
-def test_flipped_bytes(data, frames, flips, at_the_front):
+def test_a_snapshot_with_flipped_bytes_is_refused_or_tracks(data, frames, flips, at_the_front):
     """Anywhere, or in the first kilobyte, where all that is not arrays lies."""
     blob = bytearray(data)
     for place, mask in flips:
@@ -51,7 +51,7 @@ def test_flipped_bytes(data, frames, flips, at_the_front):
 
 @FUZZ
 @given(st.integers(0, 2**30), st.integers(0, 2**30), st.binary(max_size=40))
-def test_cut_and_spliced(data, frames, start, stop, between):
+def test_cut_and_spliced_snapshots_are_refused_or_track(data, frames, start, stop, between):
     start, stop = sorted((start % (len(data) + 1), stop % (len(data) + 1)))
     check(data[:start] + between + data[stop:], frames)
     if start < len(data):
@@ -85,7 +85,7 @@ def paths(value, prefix=()):
 
 @FUZZ
 @given(st.data())
-def test_any_value_in_any_place(data, frames, draw):
+def test_a_snapshot_with_any_value_in_any_field_is_refused_or_tracks(data, frames, draw):
     document = msgpack.unpackb(data)
     for _ in range(draw.draw(st.integers(1, 3))):
         *path, last = draw.draw(st.sampled_from(sorted(paths(document), key=repr)))
@@ -128,7 +128,7 @@ NUMBERS = [
 @example("scale_mean", 7e11, False)
 @example("scale_energy", 0.0, True)
 @example("scale_energy", 1e12, True)
-def test_any_numbers_in_arrays(data, frames, name, value, everywhere):  # fmt: skip
+def test_a_snapshot_with_any_numbers_is_refused_or_tracks(data, frames, name, value, everywhere):  # fmt: skip
     document = copy.deepcopy(msgpack.unpackb(data))
     packed = document["arrays"][name]
     numbers = np.frombuffer(packed["data"], "<f4").copy()

@@ -13,7 +13,7 @@ from mfcmt_core.synthetic import paint
 
 
 @pytest.mark.parametrize("name", [n for n in synthetic.SCENES if n != "large"])
-def test_scene_has_frames_and_truth(name):
+def test_each_scene_has_frames_and_boxes(name):
     scene = synthetic.SCENES[name]
     sequence = synthetic.clip(name, length=24)
     width, height = scene.size
@@ -64,7 +64,7 @@ def test_blend_fills_the_box_to_a_fraction_of_a_pixel(x, y, w, h, detail):
     assert (mass * (rows + 0.5)).sum() / mass.sum() == pytest.approx(y + offset[1] + h / 2, abs=0.05)
 
 
-def test_target_is_where_the_truth_says():
+def test_the_target_is_at_its_true_box():
     """Cut out of two frames at their truth the target looks alike, a fifth of a pixel beside it less."""
     sequence = synthetic.clip("motion", grain=0.0)
 
@@ -106,7 +106,7 @@ def test_each_scene_shows_what_its_name_says():
     assert 0.3 < synthetic.clip("sample").shown.min() < 0.6
 
 
-def test_nothing_to_see_is_refused():
+def test_a_scene_without_a_visible_target_is_refused():
     with pytest.raises(ValueError, match="no scene 'nosuch'"):
         synthetic.clip("nosuch")
     for changes in ({"length": 0}, {"size": (8, 8)}, {"target": (1, 20)}, {"target": (400, 20)}):

@@ -54,7 +54,7 @@ def test_a_window_within_the_margin_is_a_slice_of_the_crop(frame, by, is_gray):
 
 
 @pytest.mark.parametrize("by", [(0, 0), (7, -3), (-12, 12)])
-def test_a_window_moved_by_whole_pixels_shows_what_one_cut_there_does(frame, by):
+def test_a_shifted_window_shows_what_a_new_crop_there_does(frame, by):
     target = target_of()
     shifted = target.observe(frame, READABLE, beside(*by), target.observe(frame, READABLE, PLACE).crop)
     anew = target.observe(frame, READABLE, beside(*by))
@@ -64,7 +64,7 @@ def test_a_window_moved_by_whole_pixels_shows_what_one_cut_there_does(frame, by)
     assert shifted.place_at((0, 0)) == anew.place_at((0, 0)) == beside(*by)
 
 
-def test_a_cut_holds_each_pixel_as_the_models_want_it(frame):
+def test_a_crop_has_the_channels_of_the_models(frame):
     for gray_target in (False, True):
         crop = target_of(is_gray=gray_target).observe(frame, READABLE, PLACE).crop
         assert crop.scale == 1
@@ -77,7 +77,7 @@ def test_a_cut_holds_each_pixel_as_the_models_want_it(frame):
         assert crop.bins.shape == (124, 124)
 
 
-def test_where_there_is_no_model_there_is_nothing(frame):
+def test_an_observation_is_empty_without_a_model(frame):
     observation = target_of(DEFAULT.replace(color_histogram=False)).observe(frame, READABLE, PLACE)
     assert observation.bins.size == 0
     assert observation.spectra.size > 0
@@ -103,7 +103,7 @@ def test_where_there_is_no_model_there_is_nothing(frame):
         ((0, 0), 1.021, False),
     ],
 )
-def test_a_cut_serves_places_within_its_margin_and_a_step_of_scale(frame, by, scale, again):
+def test_a_crop_is_reused_within_its_margin_and_a_step_of_scale(frame, by, scale, again):
     target = target_of()
     first = target.observe(frame, READABLE, PLACE)
     target.scale = scale
@@ -129,7 +129,7 @@ def test_a_cut_serves_places_within_its_margin_and_a_step_of_scale(frame, by, sc
         ((0, 0), 1 / 1.02, False),
     ],
 )
-def test_without_a_margin_every_window_is_cut_anew(frame, config, by, scale, again):
+def test_without_a_margin_every_window_is_a_new_crop(frame, config, by, scale, again):
     """Unless it would be the same pixels."""
     target = target_of(config)
     first = target.observe(frame, READABLE, PLACE)
@@ -156,7 +156,7 @@ def test_without_a_margin_every_window_is_cut_anew(frame, config, by, scale, aga
     st.tuples(st.floats(8, 90), st.floats(8, 90)),
     st.floats(0.5, 2),
 )
-def test_displaced_and_offset_are_inverse(frame, name, displacement, by, base_size, scale):
+def test_place_at_and_offset_are_inverse(frame, name, displacement, by, base_size, scale):
     target = target_of(CONFIGS[name], base_size)
     target.scale = scale
     observation = target.observe(frame, READABLE, beside(*by), target.observe(frame, READABLE, PLACE).crop)
@@ -184,7 +184,7 @@ def test_models_learn_from_a_window_that_is_near(frame, learn_within):
         assert target.can_learn_from(observation) == near
 
 
-def test_the_models_are_told_where_the_target_is(frame):
+def test_the_models_learn_the_target_at_its_place_in_the_window(frame):
     """A cell to the right and two up: the same pixels are foreground as in a window around the target."""
     target, other = (target_of(DEFAULT.replace(learn_within=2.0)) for _ in range(2))
     target.center = beside(4, -8)
@@ -203,7 +203,7 @@ def test_the_models_are_told_where_the_target_is(frame):
     assert np.unravel_index(responses[1].argmax(), responses[1].shape) == middle
 
 
-def test_without_a_margin_the_target_counts_as_in_the_middle(frame):
+def test_without_a_margin_the_target_is_learned_in_the_middle(frame):
     """As the paper has it: the place of the cut is rounded to whole pixels, and no more is said."""
     target, other = target_of(ANEW), target_of(ANEW)
     target.center = beside(0.3, -0.4)
@@ -216,7 +216,7 @@ def test_without_a_margin_the_target_counts_as_in_the_middle(frame):
 # --- channels ---
 
 
-def test_grey_is_what_differs_by_no_more_than_rounding():
+def test_channels_that_differ_by_rounding_are_gray():
     gray = np.random.default_rng(0).integers(1, 255, (20, 30), np.uint8)
     three = np.repeat(gray[..., None], 3, axis=2)
     assert is_gray(gray)
@@ -227,7 +227,7 @@ def test_grey_is_what_differs_by_no_more_than_rounding():
         assert is_gray(changed) == expected
 
 
-def test_pixels_come_in_the_channels_of_the_models():
+def test_pixels_are_converted_to_the_channels_of_the_models():
     color = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
     gray = convert_channels(color, to_gray=True)
     assert np.array_equal(gray, cv2.cvtColor(color, cv2.COLOR_BGR2GRAY))

@@ -93,7 +93,7 @@ def test_equation_3_is_the_dense_correlation():
 
 
 @pytest.mark.parametrize("shift", [(0, 0), (2, -1), (-3, 3)])
-def test_equation_3_needs_the_conjugate_that_the_print_leaves_out(shift):
+def test_equation_3_needs_the_conjugate_that_the_paper_omits(shift):
     m = model()
     x = noise(2, m.features.channels)
     m.learn(spectra_of(x))
@@ -134,7 +134,7 @@ def test_equation_11_averages_filters():
     np.testing.assert_allclose(filters_of(m), 0.9 * first + 0.1 * second, atol=1e-6)
 
 
-def test_equation_11_on_spectra_minimises_the_weighted_sum_of_all_losses():
+def test_equation_11_on_spectra_minimizes_the_weighted_sum_of_all_losses():
     """With one channel exactly: frames weigh (1-η)², (1-η)η and η."""
     m = model(features=("gray",), average="spectra", template_learning_rate=0.2)
     samples = [noise(seed, 1) for seed in (7, 8, 9)]
@@ -189,7 +189,7 @@ def displacement(m, reach, patch):
 PLACES = [(0, 0), (12, 0), (-8, 8), (4, -12)]
 
 
-def test_a_moved_patch_is_found_where_it_moved_to(pixels_at):
+def test_a_moved_patch_is_found_at_its_new_place(pixels_at):
     """From pixels to displacement: 12 px of the patch are 3 cells."""
     config = MFCMTConfig.default().replace(background_interval=0)
     search = SearchWindow(config, (56.0, 44.0))

@@ -40,7 +40,7 @@ DEFAULT = MFCMTConfig.default()
         ("sample", {"length": 100}, 0.6, 0.4),
     ],
 )
-def test_accuracy(scene, changes, mean, worst, preset):
+def test_each_scene_is_tracked_with_the_accuracy_that_it_allows(scene, changes, mean, worst, preset):
     sequence = synthetic.clip(scene, **changes)
     results = track(PRESETS[preset], list(sequence.frames), sequence.boxes[0])
     seen = overlap(boxes_of(results), sequence.boxes)[sequence.visible]
@@ -48,7 +48,7 @@ def test_accuracy(scene, changes, mean, worst, preset):
     assert seen.min() > worst
 
 
-def test_scale_follows_the_target():
+def test_the_scale_follows_the_target():
     sequence = synthetic.clip("scale")
     results = track(DEFAULT, list(sequence.frames), sequence.boxes[0])
     truth = sequence.boxes[:, 2] / sequence.boxes[0, 2]
@@ -105,7 +105,7 @@ def test_the_scale_is_searched_and_learned_in_every_nth_learned_frame(config, mo
     assert 0 < learned < len(results) - 1
 
 
-def test_an_occlusion_closes_the_gate():
+def test_an_occlusion_stops_learning():
     sequence = synthetic.clip("occlusion", hide=0.9)
     results = track(DEFAULT, list(sequence.frames), sequence.boxes[0])
     hidden = sequence.shown < 0.3
@@ -166,7 +166,7 @@ def test_a_target_is_found_again_elsewhere(config, place):
     assert overlap(boxes_of(results[-1:]), np.array([[*place, w, h]], float))[0] > 0.6
 
 
-def test_colours_alone_find_a_target_again():
+def test_colors_alone_find_a_lost_target():
     green = np.full((240, 320, 3), (40, 120, 40), np.uint8)
     config = ALERT.replace(features=(), num_scales=1, lost_after=3)
 
@@ -237,7 +237,7 @@ def test_any_target_in_any_frame(size, box, preset):
     st.sampled_from([*PRESETS.values(), DEFAULT.replace(window="square"), DEFAULT.replace(features=())]),
     st.booleans(),
 )
-def test_every_box_that_is_taken_is_tracked(size, place, sides, config, gray):
+def test_every_accepted_box_is_tracked(size, place, sides, config, gray):
     frames = drifting(size, gray=gray, count=3)
     box = (place[0] * size[0], place[1] * size[1], *sides)
     try:
@@ -249,7 +249,7 @@ def test_every_box_that_is_taken_is_tracked(size, place, sides, config, gray):
 
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("value", [0, 77, 255])
-def test_frames_without_content(value, preset, frames, clip):
+def test_frames_without_content_break_nothing(value, preset, frames, clip):
     """From the first frame on nothing moves; in the middle of a sequence nothing breaks."""
     flat = np.full_like(frames[0], value)
     results = track(PRESETS[preset], [flat] * 12, (100, 90, 60, 40))
@@ -258,7 +258,7 @@ def test_frames_without_content(value, preset, frames, clip):
     track(PRESETS[preset], mixed, clip.boxes[0])
 
 
-def test_a_cut_to_another_scene_is_not_learned(frames, clip):
+def test_a_change_to_another_scene_is_not_learned(frames, clip):
     noise = np.random.default_rng(0).integers(0, 256, frames[0].shape, np.uint8)
     tracker = MFCMT(DEFAULT)
     tracker.init(frames[0], clip.boxes[0])
@@ -292,7 +292,7 @@ def test_a_recentered_window_is_learned_without_observing_it_again(frames, clip,
 # --- the interface ---
 
 
-def test_first_result(frames, clip):
+def test_the_first_result_is_the_given_box_without_scores(frames, clip):
     first = MFCMT().init(frames[0], clip.boxes[0])
     assert first == TrackResult(tuple(clip.boxes[0]), "tracking", None, None, None, None, True, 1.0)
     with pytest.raises(dataclasses.FrozenInstanceError):
@@ -326,7 +326,7 @@ def test_starting_again_forgets_everything(frames, clip):
     assert used.update(frames[1]) == fresh.update(frames[1])
 
 
-def test_another_frame_size_after_starting_again(frames, clip):
+def test_a_new_start_may_have_another_frame_size(frames, clip):
     tracker = MFCMT()
     tracker.init(frames[0], clip.boxes[0])
     half = frames[1][:120, :160]
@@ -360,7 +360,7 @@ def test_maps_are_probability_maps(config, frames, clip):
     assert all(np.array_equal(result.maps[name], kept[name]) for name in kept)  # not scratch
 
 
-def test_regions_contain_what_is_needed(frames, clip):
+def test_regions_contain_the_needed_region_and_grow_with_the_lag(frames, clip):
     tracker = MFCMT()
     tracker.init(frames[0], clip.boxes[0])
     for frame in frames[1:6]:

@@ -28,7 +28,7 @@ def save(path, data):
 @pytest.mark.parametrize("kind", ["jpeg", "png", "webp"])
 @pytest.mark.parametrize("orientation", [1, 3, 6])
 @pytest.mark.parametrize("gray", [False, True])
-def test_as_the_service_reads_it(kind, orientation, gray, tmp_path):
+def test_an_image_file_gives_the_pixels_that_the_service_decodes(kind, orientation, gray, tmp_path):
     """Always of three channels, with EXIF's turn or without."""
     data = images.oriented(kind, PICTURE[:, :, 0] if gray else PICTURE, orientation)
     image, _ = decode(data, FrameLimits())
@@ -39,7 +39,7 @@ def test_as_the_service_reads_it(kind, orientation, gray, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".bmp", ".ppm", ".pgm", ".pbm", ".tif", ".tiff", ".jpe", ".png", ".webp"])
-def test_every_kind_that_a_folder_may_hold(suffix, tmp_path):
+def test_every_supported_format_is_read(suffix, tmp_path):
     assert suffix in SUFFIXES
     source = PICTURE if suffix not in (".pgm", ".pbm") else PICTURE[:, :, 0]
     cv2.imwrite(str(tmp_path / f"1{suffix}"), source)
@@ -59,7 +59,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_what_cannot_be_read_is_named_and_nothing_else_is_said(name, tmp_path, capfd):
+def test_an_unreadable_file_is_named_in_one_line(name, tmp_path, capfd):
     data, reason = BAD[name]
     file = save(tmp_path / name, data)
     with pytest.raises(BadImageFile) as bad:
@@ -78,7 +78,7 @@ def folder_of(tmp_path, *names):
     return tmp_path
 
 
-def test_a_folder_is_read_in_the_order_of_its_numbers_whatever_else_is_in_the_names(tmp_path):
+def test_a_folder_is_read_in_the_order_of_the_numbers_in_its_names(tmp_path):
     names = ["²1.jpg", "a2.jpg", "a10.jfif", "a100.jpe", "a٣.jpg", "b.JPG"]
     folder = folder_of(tmp_path, *names, "._a2.jpg")
     source = media.open_source(str(folder))
@@ -89,13 +89,13 @@ def test_a_folder_is_read_in_the_order_of_its_numbers_whatever_else_is_in_the_na
 
 
 @pytest.mark.parametrize("name", ["3.heic", "3.HEIF", "3.avif", "3.gif"])
-def test_a_folder_with_an_image_of_a_foreign_kind_is_refused(name, tmp_path):
+def test_a_folder_with_an_unsupported_image_is_refused(name, tmp_path):
     """To pass it over would put the frames after it out of step."""
     with pytest.raises(UsageError, match=rf"{name} is of a kind that cannot be read"):
         media.open_source(str(folder_of(tmp_path, "1.jpg", "2.jpg", name)))
 
 
-def test_a_cut_frame_is_neither_tracked_nor_scored(tmp_path):
+def test_a_truncated_frame_is_neither_tracked_nor_scored(tmp_path):
     folder = folder_of(tmp_path, "1.jpg", "2.jpg")
     save(folder / "2.jpg", CUT)
     frames = media.open_source(str(folder)).frames
@@ -108,7 +108,7 @@ def test_a_cut_frame_is_neither_tracked_nor_scored(tmp_path):
         sequence.read(1)
 
 
-def test_odd_jpegs_are_tracked_and_scored_as_the_service_does(tmp_path):
+def test_faulty_jpegs_are_tracked_and_scored_as_in_the_service(tmp_path):
     odd = jpegs.before_restarts(jpegs.with_restarts(), b"\0")
     file = save(tmp_path / "1.jpg", odd)
     expected, _ = decode(odd, FrameLimits())

@@ -65,13 +65,13 @@ ODD = {
 
 
 @pytest.mark.parametrize(("odd", "good"), ODD.values(), ids=ODD)
-def test_odd_form_changes_no_pixel(odd, good, capfd):
+def test_mending_a_faulty_form_changes_no_pixel(odd, good, capfd):
     assert np.array_equal(pixels(odd), pixels(good))
     assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize(("odd", "good"), ODD.values(), ids=ODD)
-def test_odd_form_hides_no_missing_data(odd, good):
+def test_missing_data_are_refused_in_spite_of_a_faulty_form(odd, good):
     """Cut anywhere in the coded data: as it is, with an end glued on, with the next picture glued on."""
     first = odd.index(b"\xff\xda") + 20
     last = first + int((len(good) - jpegs.segments(good)[1]) * 0.95)
@@ -105,7 +105,7 @@ SAMPLINGS = {
 @pytest.mark.parametrize("stray", [b"", b"\0"], ids=["plain", "stray"])
 @pytest.mark.parametrize("interleaved", [True, False], ids=["together", "separate"])
 @pytest.mark.parametrize("factors", SAMPLINGS.values(), ids=SAMPLINGS)
-def test_every_sampling_is_read(factors, interleaved, stray, capfd):
+def test_every_chroma_sampling_is_decoded(factors, interleaved, stray, capfd):
     source = cv2.resize(jpegs.picture(), (163, 117))
     source = cv2.GaussianBlur(source, (0, 0), 4)  # so that what the sampling loses is little
     data = jpegs.before_restarts(jpegs.written(source, factors, interleaved=interleaved, restart=7), stray)
@@ -119,13 +119,13 @@ def test_every_sampling_is_read(factors, interleaved, stray, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_a_sampling_that_no_decoder_has_is_refused():
+def test_a_sampling_that_no_decoder_supports_is_refused():
     with pytest.raises(FrameError):
         pixels(jpegs.written(jpegs.picture(), [(3, 1), (2, 1), (1, 1)]))
 
 
 @pytest.mark.parametrize("kind", ["stray", "no end", "rst"])
-def test_cmyk(kind):
+def test_cmyk_is_decoded(kind):
     pil = pytest.importorskip("PIL.Image")
     file = io.BytesIO()
     pil.fromarray(jpegs.picture()[:, :, ::-1]).convert("CMYK").save(file, "jpeg", quality=95)
@@ -134,12 +134,12 @@ def test_cmyk(kind):
     assert np.array_equal(pixels(odd[kind]), pixels(data))
 
 
-def test_what_is_mended_decodes_without_a_warning():
+def test_a_mended_jpeg_decodes_without_a_warning():
     for odd, good in ODD.values():
         assert np.array_equal(simplejpeg.decode_jpeg(mend(odd), "BGR"), pixels(good))
 
 
-def test_real_frames_stay_as_they_are(otb_root):
+def test_real_frames_are_not_changed(otb_root):
     """Nothing is lost in mending, and the pixels are OpenCV's, bit for bit."""
     for path in sorted(otb_root.glob("*/img/0001.jpg"))[::4]:
         data = path.read_bytes()
@@ -164,6 +164,6 @@ def test_real_frames_stay_as_they_are(otb_root):
         PLAIN.replace(b"\xff\xda\x00\x0c\x03\x01\x00\x02", b"\xff\xda\x00\x0c\x03\x01\x70\x02"),
     ],
 )
-def test_what_is_no_picture_is_refused_in_words(data):
+def test_bytes_that_are_no_jpeg_are_refused_with_a_reason(data):
     with pytest.raises(ValueError, match=r"\w+ \w+"):
         mend(data)
