@@ -11,19 +11,19 @@ from mfcmt_core import MFCMT, synthetic
 
 @pytest.fixture(scope="session")
 def clip() -> synthetic.Clip:
-    """A plain sequence: 320×240, a textured plate of 56×44 that moves over a ground."""
+    """Return a plain clip of 320×240: a textured plate of 56×44 that moves over a texture."""
     return synthetic.clip("motion")
 
 
 @pytest.fixture(scope="session")
 def frames(clip) -> list[np.ndarray]:
-    """The first 40 frames of :func:`clip`."""
+    """Return the first 40 frames of :func:`clip`."""
     return clip.frames[:40]
 
 
 @pytest.fixture(scope="session")
 def data(frames, clip) -> bytes:
-    """A snapshot in the middle of :func:`clip`."""
+    """Return a snapshot from the middle of :func:`clip`."""
     tracker = MFCMT()
     for _ in tracker.track(frames[:13], clip.boxes[0]):
         pass
@@ -32,7 +32,7 @@ def data(frames, clip) -> bytes:
 
 @pytest.fixture(scope="session", params=["rendered", "noise", "flat", "real"])
 def picture(request) -> np.ndarray:
-    """A BGR picture of at least 240×180."""
+    """Return a BGR picture of at least 240×180."""
     if request.param == "real":
         return cv2.imread(str(request.getfixturevalue("otb_root") / "MountainBike" / "img" / "0001.jpg"))
     if request.param == "noise":
@@ -44,5 +44,5 @@ def picture(request) -> np.ndarray:
 
 @pytest.fixture(scope="session")
 def gray(picture) -> np.ndarray:
-    """:func:`picture` in grey."""
+    """Return :func:`picture` in gray."""
     return cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)

@@ -17,7 +17,7 @@ ALERT = MFCMTConfig.default().replace(usual_threshold=0.3, lost_after=8)
 
 
 def assert_sane(result: TrackResult, frame_size: tuple[int, int]) -> None:
-    """Finite, sized, the middle inside the frame, and nothing contradicts itself."""
+    """Assert that a result is finite, has its middle inside the frame, and is consistent."""
     x, y, w, h = result.box
     assert np.isfinite(result.box).all()
     assert w > 0
@@ -37,14 +37,14 @@ def assert_sane(result: TrackResult, frame_size: tuple[int, int]) -> None:
 
 
 def filters_of(model: TemplateModel) -> np.ndarray:
-    """W of equation 2, (channels, n, n // 2 + 1)."""
+    """Return W of equation 2, (channels, n, n // 2 + 1)."""
     return np.concatenate(
         [model.numerator[a:b] * np.conj(g) for (a, b), g in zip(model.blocks, model.quotient, strict=True)]
     )
 
 
 def track(config: MFCMTConfig, frames: Sequence[np.ndarray], box: Iterable[float]) -> list[TrackResult]:
-    """The results of all frames, every one of them sane."""
+    """Return the results of all frames, after :func:`assert_sane` on each."""
     height, width = frames[0].shape[:2]
     results = list(MFCMT(config).track(frames, box))
     for result in results:
@@ -58,5 +58,5 @@ def boxes_of(results: Iterable[TrackResult]) -> np.ndarray:
 
 
 def digest(results: Iterable[TrackResult]) -> str:
-    """One word for every bit of the results."""
+    """Return a hash of all bits of the results."""
     return hashlib.sha256(repr([(r.box, r.status, r.scores, r.psr, r.scale) for r in results]).encode()).hexdigest()

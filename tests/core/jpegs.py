@@ -15,14 +15,14 @@ STRAY = {"zeros": b"\0\0\0", "text": b"stray bytes", "stuffed": b"\x12\xff\x00\x
 
 
 def picture(width=160, height=120):
-    """A picture with edges and texture, BGR."""
+    """Return a BGR picture with edges and texture."""
     y, x = np.mgrid[0:height, 0:width]
     planes = [128 + 90 * np.sin(x / 9) * np.cos(y / 13), 255 * x / width, 40 + 160 * ((x // 12 + y // 10) % 2)]
     return np.dstack(planes).clip(0, 255).astype(np.uint8)
 
 
 def encode(image, *options):
-    """As OpenCV writes it."""
+    """Return a JPEG as OpenCV writes it."""
     return cv2.imencode(".jpg", image, list(options))[1].tobytes()
 
 
@@ -31,7 +31,7 @@ def plain(*options):
 
 
 def with_restarts(units=3, *options):
-    """With a restart marker after every few units."""
+    """Return a JPEG with a restart marker after every few units."""
     return plain(cv2.IMWRITE_JPEG_RST_INTERVAL, units, *options)
 
 
@@ -40,7 +40,7 @@ def progressive(*options):
 
 
 def segments(data):
-    """Where each segment up to the coded data begins, and its marker; where the coded data begin."""
+    """Return (start, marker) of each segment before the coded data, and where those begin."""
     found, at = [], 2
     while True:
         found.append((at, data[at + 1]))
@@ -62,12 +62,12 @@ def segment(marker, body):
 
 
 def restarts(data):
-    """Where the restart markers are."""
+    """Return the positions of the restart markers."""
     return [found.start() for found in re.finditer(rb"\xff[\xd0-\xd7]", data)]
 
 
 def before_restarts(data, more, every=1):
-    """Stray bytes before restart markers, as the C270 and IP cameras have them."""
+    """Insert stray bytes before restart markers, as the C270 and IP cameras do."""
     for at in reversed(restarts(data)[::every]):
         data = insert(data, at, more)
     return data
@@ -78,12 +78,12 @@ def before_end(data, more):
 
 
 def without_end(data, trailer=b""):
-    """A trailer of the vendor's in place of the end."""
+    """Replace the end by a vendor's trailer."""
     return data[:-2] + trailer
 
 
 def between_segments(data, more, marker=None):
-    """Stray bytes before one segment, or before each but the first."""
+    """Insert stray bytes before one segment, or before each but the first."""
     for at, found in reversed(segments(data)[0][1:]):
         if marker in (None, found):
             data = insert(data, at, more)
@@ -101,7 +101,7 @@ def with_scan_parameters(data, first, last, bits):
 
 
 def without_tables(data):
-    """As frames of a camera's video: the Huffman tables are understood."""
+    """Remove the Huffman tables, as in frames of a camera's video."""
     kept, at = [data[:2]], 2
     for at, marker in segments(data)[0]:
         end = at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
@@ -119,12 +119,12 @@ def adobe(transform):
 
 
 def parts(length, each):
-    """How many parts of ``each`` it takes to cover ``length``."""
+    """Return how many parts of size ``each`` cover ``length``."""
     return -(-length // each)
 
 
 class Bits:
-    """Bits as a scan has them, with stuffing."""
+    """Return bits as the bytes of a scan, with stuffing."""
 
     def __init__(self):
         self.text = []
@@ -140,7 +140,7 @@ class Bits:
 
 
 def standard_tables():
-    """The DHT segments of the standard's tables, and code and length by (kind, slot) and symbol."""
+    """Return the DHT segments of the standard's tables, and code and length by (kind, slot) and symbol."""
     data, codes, raw = simplejpeg.encode_jpeg(np.zeros((8, 8, 3), np.uint8)), {}, b""
     for at, marker in segments(data)[0]:
         if marker == 0xC4:
@@ -156,7 +156,7 @@ def standard_tables():
 
 
 def written(image, factors, *, interleaved=True, restart=0):
-    """A baseline JPEG of ``image``, grey or BGR; ``factors`` is the sampling (across, down) of each component."""
+    """Return a baseline JPEG of a gray or BGR image. ``factors`` has the sampling (across, down) per component."""
     planes = [image] if image.ndim == 2 else [cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb)[..., c] for c in (0, 2, 1)]
     height, width = image.shape[:2]
     most_across, most_down = max(h for h, _ in factors), max(v for _, v in factors)

@@ -29,18 +29,18 @@ def color_name_cells(patch, table, window):
 
 
 def projections(dx, dy):
-    """How far each gradient points along each of the 18 directions, (18, ...)."""
+    """Return the projection of each gradient on each of the 18 directions, (18, ...)."""
     return np.multiply.outer(np.cos(DIRECTIONS), dx) + np.multiply.outer(np.sin(DIRECTIONS), dy)
 
 
 def differences(pixels):
-    """Central differences along x and y; the border pixel repeats."""
+    """Return the central differences along x and y; the border repeats."""
     padded = np.pad(pixels.astype(float), 1, mode="edge")
     return padded[1:-1, 2:] - padded[1:-1, :-2], padded[2:, 1:-1] - padded[:-2, 1:-1]
 
 
 def gradients(gray):
-    """Magnitude and projections (18, H, W); the outermost columns repeat their neighbours."""
+    """Return the magnitude and the projections (18, H, W); the outermost columns repeat their neighbors."""
     dx, dy = differences(gray)
     for d in (dx, dy):
         d[:, 0], d[:, -1] = d[:, 1], d[:, -2]
@@ -48,7 +48,7 @@ def gradients(gray):
 
 
 def histogram_cells(magnitude, orientation):
-    """Every pixel shares its magnitude among the four cells whose centres surround it, (cells_y, 18, cells_x)."""
+    """Share each pixel's magnitude among the four cells whose centers surround it: (cells_y, 18, cells_x)."""
     height, width = magnitude.shape
     cells_y, cells_x = height // CELL, width // CELL
     out = np.zeros((cells_y + 2, 18, cells_x + 2))  # a ring of cells around catches what leaves the grid
@@ -63,7 +63,7 @@ def histogram_cells(magnitude, orientation):
 
 
 def normalize_cells(histogram, window, epsilon):
-    """Felzenszwalb's 18 signed, 9 unsigned and 4 texture channels, (31, cells_y, cells_x)."""
+    """Return Felzenszwalb's 18 signed, 9 unsigned and 4 texture channels, (31, cells_y, cells_x)."""
     signed = np.moveaxis(histogram.astype(float), 1, 0)
     unsigned = signed[:9] + signed[9:]
     energy = np.pad((unsigned**2).sum(0), 1, mode="edge")
@@ -112,7 +112,7 @@ def integral(bins, lookup):
 
 
 def shift(rectangle, dx, dy, height, width):
-    """``(top, left, bottom, right)`` moved, as far as it stays inside."""
+    """Return ``(top, left, bottom, right)`` shifted and clipped to the patch."""
     return tuple(int(v) for v in np.clip(np.add(rectangle, (dy, dx, dy, dx)), 0, (height, width, height, width)))
 
 
@@ -121,7 +121,7 @@ def box_means(likelihood, rows, columns, height, width):
 
 
 def box_contrasts(likelihood, rows, columns, box, band, weight):
-    """The mean in each box less ``weight`` times that of the band around it."""
+    """Return the mean in each box minus ``weight`` times the mean of the band around it."""
     height, width = likelihood.shape
     out = np.empty((len(rows), len(columns)))
     for i, r in enumerate(rows):
@@ -145,7 +145,7 @@ def energy(spectra, block):
 
 
 def phase_shift(spectra, dx, dy):
-    """The shift theorem, frequencies written out."""
+    """Apply the shift theorem with all frequencies written out."""
     n = spectra.shape[1]
     rows, columns = np.fft.fftfreq(n)[:, None], np.arange(spectra.shape[2]) / n
     return spectra * np.exp(2j * np.pi * (columns * dx + rows * dy))
@@ -178,7 +178,7 @@ def solve_background(mean, label, power, before, penalty, filters, unmasked):
 
 
 def fold_rows(grids):
-    """Sums and differences of opposite rows; a row that is its own opposite counts once."""
+    """Return sums and differences of opposite rows; a row that is its own opposite counts once."""
     n = len(grids)
     opposite = grids[-np.arange(n) % n]
     even = np.where((2 * np.arange(n) % n == 0)[:, None], grids, grids + opposite)
@@ -220,7 +220,7 @@ def find_peak(fused, leave_out):
 
 
 def sample_scales(gray, center_x, center_y, step_x, step_y, shape):
-    """Bilinear interpolation at a grid of points around the centre, one grid a scale, (h, w, scales)."""
+    """Interpolate bilinearly on a grid of points around the center, one grid per scale: (h, w, scales)."""
     height, width = shape
     pixels = gray.astype(float)
     out = np.empty((height, width, len(step_x)))
@@ -234,25 +234,25 @@ def sample_scales(gray, center_x, center_y, step_x, step_y, shape):
 
 
 def pack_quads(gray):
-    """Pixel, right, lower and lower right neighbour, (H, W, 4) uint8; the border repeats."""
+    """Return each pixel with its right, lower and lower right neighbor, (H, W, 4) uint8; the border repeats."""
     padded = np.pad(gray, ((0, 1), (0, 1)), mode="edge")
     return np.stack([padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]], axis=-1)
 
 
 def scale_gradients(samples):
-    """Magnitude (h, w, scales) and projections (18, h, w, scales) of each scale's sample."""
+    """Return the magnitude (h, w, scales) and projections (18, h, w, scales) of each scale's sample."""
     d = np.stack([differences(samples[..., s]) for s in range(samples.shape[-1])], axis=-1)
     return np.hypot(*d), projections(*d)
 
 
 def scale_histogram(magnitude, orientation):
-    """Votes of each scale's gradients, (cells_y, 18, cells_x, scales)."""
+    """Return the votes of each scale's gradients, (cells_y, 18, cells_x, scales)."""
     scales = range(magnitude.shape[-1])
     return np.stack([histogram_cells(magnitude[..., s], orientation[..., s]) for s in scales], axis=-1)
 
 
 def scale_features(histogram, epsilon, window):
-    """fHOG of each scale's sample times its weight, (cells_y · cells_x, 31, scales)."""
+    """Return the fHOG of each scale's sample times its weight, (cells_y · cells_x, 31, scales)."""
     features = np.stack([normalize_cells(histogram[..., s], w, epsilon) for s, w in enumerate(window)], axis=-1)
     return np.moveaxis(features, 0, 2).reshape(-1, *features.shape[::3])
 

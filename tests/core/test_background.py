@@ -16,7 +16,7 @@ PENALTY = CONFIG.regularization * N * N
 
 
 def learned(x):
-    """A model that has learned ``x``, and its background-aware filter in space."""
+    """Return a model that has learned ``x``, and its background-aware filter in space."""
     m = model(background_interval=4)
     m.learn(spectra_of(x))
     assert m.background is not None
@@ -24,7 +24,7 @@ def learned(x):
 
 
 def box_of(m):
-    """The cells of the target's box: 60×40 of 135×115 pixels are 4×3 of 8×8 cells."""
+    """Return the cells of the target's box: 60×40 of 135×115 pixels are 4×3 of 8×8 cells."""
     inside = np.zeros((N, N), bool)
     inside[2:5, 2:6] = True
     return np.broadcast_to(inside, (m.features.channels, N, N))
@@ -32,7 +32,7 @@ def box_of(m):
 
 @pytest.fixture
 def smooth():
-    """Samples with neighbours alike, as features are."""
+    """Return samples with similar neighbors, as in features."""
     x = noise(0, 42)
     return sum(np.roll(x, shift, (1, 2)) for shift in ((0, 0), (0, 1), (1, 0), (1, 1)))
 
@@ -45,7 +45,7 @@ def test_nothing_is_learned_outside_the_box(smooth):
 
 
 def dense(m, x):
-    """min ‖A w - y‖² + λ ‖w‖² over filters that are zero outside the box."""
+    """Solve min ‖A w - y‖² + λ ‖w‖² over filters that are zero outside the box."""
     inside = box_of(m).ravel()
     a, y = correlation_matrix(x), label_of(m).ravel()
     inner = a[:, inside]
@@ -67,7 +67,7 @@ def test_iterations_converge_to_the_constrained_optimum(smooth, monkeypatch):
 
 
 def test_a_later_training_continues_from_the_last_one(smooth, monkeypatch):
-    """One iteration each: n of them after the first training are what n more at once are."""
+    """n later trainings of one iteration equal one training with n more iterations."""
     m, w = learned(smooth)
     best, loss = dense(m, smooth)
     losses = [loss(w.ravel())]

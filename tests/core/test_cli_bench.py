@@ -145,7 +145,7 @@ def test_bad_arguments_are_one_line_and_exit_2(args, says, tmp_path):
 
 
 class Slow:
-    """A peer that is five times our work, gives up halfway, or cannot start."""
+    """Make a peer that takes five times our work, gives up halfway, or cannot start."""
 
     lives = 10
 

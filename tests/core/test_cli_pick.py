@@ -137,7 +137,7 @@ def browser():
 
 @pytest.fixture
 def command(clip, tmp_path):
-    """The real command, waiting for a box; yields (process, address)."""
+    """Run the real command, which waits for a box; yield (process, address)."""
     for i, frame in enumerate(clip.frames[:6]):
         cv2.imwrite(str(tmp_path / f"{i}.png"), frame)
     words = [str(SCRIPT), "track", str(tmp_path), "--select", "--no-browser", "--format", "jsonl"]

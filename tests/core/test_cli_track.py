@@ -43,7 +43,7 @@ def box(clip) -> str:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """As OTB: images in ``img``; names without leading zeros, so that order is a matter of number."""
+    """Write a folder like OTB's, with images in ``img`` whose names have no leading zeros."""
     path = tmp_path_factory.mktemp("clip") / "Clip"
     (path / "img").mkdir(parents=True)
     for i, frame in enumerate(synthetic.clip("motion").frames[:LENGTH], 1):
@@ -53,7 +53,7 @@ def folder(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def truth(clip):
-    """What the library itself says about these frames."""
+    """Return the library's results for these frames."""
     return list(MFCMT().track(clip.frames[:LENGTH], clip.boxes[0]))
 
 
@@ -206,7 +206,7 @@ def test_a_box_may_be_written_with_spaces(folder, box, words):
 
 
 def test_a_box_may_lie_partly_outside(folder):
-    """Its first number is negative then, which is no option."""
+    """Its first number may be negative and is no option."""
     for box in (["-5,80,64,78"], ["-5", "80", "64", "78"], ["5,-8,64,78"]):
         done = track(folder, "--box", *box)
         assert (done.returncode, done.stderr) == (0, "")

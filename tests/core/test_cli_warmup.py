@@ -70,7 +70,7 @@ def test_after_warmup_nothing_is_compiled():
 
 
 def test_the_second_process_compiles_kernels_that_a_tracker_needs():
-    """Then the first finds it ready; it has compiled everything else meanwhile."""
+    """The first process finds them ready, and has compiled everything else meanwhile."""
     run(SCRIPT, "warmup")
     code = "from mfcmt_core.cli import warmup; warmup.help_out(); found = list(warmup.dispatchers())\n"
     code += "print(sum(len(d.stats.cache_misses) for d in found), sum(bool(d.overloads) for d in found))"

@@ -20,14 +20,14 @@ def model(target=(56.0, 44.0), is_gray=False, **changes) -> ColorModel:
 
 
 def few_colors(seed=0, side=CONFIG.patch_size):
-    """A patch of few colours, so that most occur in both regions."""
+    """Return a patch of few colors, most of which occur in both regions."""
     rng = np.random.default_rng(seed)
     palette = rng.integers(0, 256, (12, 3), np.uint8)
     return palette[rng.integers(0, 12, (side, side))]
 
 
 def regions(m: ColorModel, side):
-    """Masks of foreground and background from the model's rectangles."""
+    """Return masks of foreground and background from the model's rectangles."""
     inner, outer = np.zeros((side, side), bool), np.ones((side, side), bool)
     inner[m.inner[0] : m.inner[2], m.inner[1] : m.inner[3]] = True
     outer[m.outer[0] : m.outer[2], m.outer[1] : m.outer[3]] = False
@@ -35,12 +35,12 @@ def regions(m: ColorModel, side):
 
 
 def histograms(m: ColorModel):
-    """Foreground and background, (bins, 2), each of sum 1."""
+    """Return foreground and background histograms, (bins, 2), each with sum 1."""
     return m.histograms / m.decay_scale
 
 
 def test_equation_6_is_the_regression_of_equation_5():
-    """v minimises the mean of (v·x - 1)² over F plus the mean of (v·x)² over B, x one-hot; unseen stays 0."""
+    """v minimizes the mean of (v·x - 1)² over F plus the mean of (v·x)² over B, with x one-hot; unseen bins stay 0."""
     m = model()
     bins = m.bins(few_colors()).copy()
     m.learn(bins, first=True)
@@ -56,7 +56,7 @@ def test_equation_6_is_the_regression_of_equation_5():
 
 
 def test_equation_4_gives_the_histograms_per_bin():
-    """For each bin alone no other value does better than equation 6."""
+    """For each bin, no other value is better than that of equation 6."""
     m = model()
     bins = m.bins(few_colors(3)).copy()
     m.learn(bins, first=True)
@@ -113,7 +113,7 @@ def test_equation_7_is_the_box_mean(is_gray):
 
 
 def test_a_band_of_the_same_colors_counts_against_a_box():
-    """Likely colours all over leave half of their likelihood; inside the box alone, all of it."""
+    """Likely colors everywhere keep half of their likelihood; inside the box only, all of it."""
     m = model()
     out = np.empty((len(m.rows), len(m.columns)), np.float32)
     inside = np.zeros((100, 100), np.uint16)
@@ -161,7 +161,7 @@ def test_equation_11_averages_histograms():
 
 @pytest.mark.parametrize("offset", [(1.0, -1.0), (0.4, 0.1), (-6.0, 8.0), (9.0, 0.0)])
 def test_the_regions_move_with_the_target(offset):
-    """By whole pixels; what would lie beyond the patch is cut off, and what is left counts as the whole region."""
+    """They move by whole pixels. The part beyond the patch is cut off, and the rest counts as the whole region."""
     m = model()
     patch = few_colors(4)
     bins = m.bins(patch)
@@ -181,7 +181,7 @@ def test_the_regions_move_with_the_target(offset):
 
 @pytest.mark.parametrize("offset", [(2.0, -1.0), (-1.0, 3.0)])
 def test_colors_learned_off_the_middle_are_those_of_a_target_there(offset):
-    """A patch rolled back to the middle has the same target; the ground is one colour."""
+    """A patch rolled back to the middle has the same target, because the ground has one color."""
     m, other = model(), model()
     patch = np.full((100, 100, 3), (40, 90, 40), np.uint8)
     patch[m.outer[0] : m.outer[2], m.outer[1] : m.outer[3]] = few_colors(2)[: m.box[1], : m.box[0]]
@@ -193,7 +193,7 @@ def test_colors_learned_off_the_middle_are_those_of_a_target_there(offset):
 
 
 def test_histograms_are_rescaled_before_they_overflow():
-    """Where the look-up of what is still seen does not change, and what was seen long ago is forgotten."""
+    """The look-up of visible colors does not change, and colors that were seen long ago are forgotten."""
     m = model()
     m.learn(m.bins(few_colors(0)), first=True)
     old, new = m.bins(few_colors(0)), m.bins(few_colors(1))
@@ -216,7 +216,7 @@ def test_histograms_are_rescaled_before_they_overflow():
 
 
 def test_refresh_gives_the_same_table_bit_for_bit():
-    """A restored tracker computes its table anew."""
+    """A restored tracker computes its table from the histograms."""
     m = model()
     for seed in range(5):
         m.learn(m.bins(few_colors(seed)), first=seed == 0)

@@ -136,7 +136,7 @@ def test_a_configuration_needs_a_cue_that_works_on_gray_targets():
 
 
 def test_every_field_is_checked_and_explained():
-    """Each field is refused as an object; each has a line of documentation after it."""
+    """An object is refused as the value of each field, and each field has a docstring."""
     for field in dataclasses.fields(MFCMTConfig):
         with pytest.raises(BadConfig):
             MFCMTConfig.from_dict({field.name: object()})

@@ -59,7 +59,7 @@ print(digest(results), hashlib.sha256(tracker.to_bytes()).hexdigest())
 
 
 def test_a_process_that_compiles_gives_the_bits_of_one_that_loads(tmp_path):
-    """The first one with an empty cache, the next one with what that left, and one that can keep nothing."""
+    """One process has an empty cache, one the cache of the first, and one cannot write any."""
     first, second = (run_elsewhere(program=ONE_TRACKER, NUMBA_CACHE_DIR=str(tmp_path)) for _ in range(2))
     kept = {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.nbi")}
     assert kept
@@ -75,7 +75,7 @@ def run_here(preset):
 
 
 def test_another_process_gives_the_same_bits(tmp_path):
-    """Also with another hash seed; and a snapshot goes on there."""
+    """It has another hash seed, and continues from a snapshot, too."""
     one = run_elsewhere(str(tmp_path) + "/", PYTHONHASHSEED="1")
     two = run_elsewhere(PYTHONHASHSEED="2")
     assert one == two
@@ -91,7 +91,7 @@ def test_another_process_gives_the_same_bits(tmp_path):
 
 @pytest.fixture(scope="module")
 def jobs():
-    """Several targets of several shapes, frame sizes and configurations, with what each gives alone."""
+    """Return targets of several shapes, frame sizes and configurations, each with its results alone."""
     motion, leaves = synthetic.clip("motion"), synthetic.clip("leaves")
     plans = [
         (MFCMTConfig.default(), motion.frames[:25], tuple(motion.boxes[0])),
@@ -105,7 +105,7 @@ def jobs():
 
 
 def test_interleaved_trackers_give_the_same_bits(jobs):
-    """Scratch arrays are shared: each tracker must find its own after the others used them."""
+    """Scratch arrays are shared, so no tracker may rely on what another has overwritten."""
     runs = [MFCMT(config).track(frames, box) for (config, frames, box), _ in jobs]
     results = [[] for _ in runs]
     for _ in range(50):
@@ -137,7 +137,7 @@ def test_a_tracker_may_change_its_thread_with_every_frame(jobs):
 
 
 def test_maps_of_interleaved_trackers_are_their_own(jobs):
-    """What was asked for is a copy of the right maps."""
+    """The maps are copies, and those of the right tracker."""
     (config, frames, box), _ = jobs[0]
     alone, one, other = (MFCMT(config) for _ in range(3))
     for tracker in (alone, one):

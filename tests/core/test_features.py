@@ -24,7 +24,7 @@ def patch(side=100, seed=0):
 
 
 def extract(stack, pixels):
-    """A copy of the features of ``pixels``, (H, W[, 3])."""
+    """Return a copy of the features of ``pixels``, (H, W) or (H, W, 3)."""
     gray = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY)
     return stack.extract(pixels, gray).copy()
 
@@ -62,7 +62,7 @@ def test_a_gray_target_has_no_color_names():
 
 @pytest.mark.parametrize("side", [32, 99, 100, 101, 102, 103, 148, 150])
 def test_any_patch_size_gives_whole_cells(side):
-    """What is left over is left out on both sides."""
+    """Pixels beyond whole cells are left out on both sides."""
     stack = FeatureStack(CONFIG.replace(patch_size=side), is_gray=False)
     features = extract(stack, patch(side))
     cells, rest = divmod(side, 4)
@@ -113,7 +113,7 @@ def test_memberships_are_positive_and_sum_to_one():
 
 
 def test_table_carries_the_memberships():
-    """Ten numbers a colour, zero mean, no distance between colours changed, bins in the published order."""
+    """It has ten numbers per color with mean zero and unchanged distances, in the published order of bins."""
     names = table()
     assert names.shape == (LEVELS**3, 10)
     assert names.dtype == np.float32
@@ -128,7 +128,7 @@ def test_table_carries_the_memberships():
 
 
 def test_table_agrees_with_the_published_one():
-    """How much of the published table's variance a linear map of ours explains, and the other way round."""
+    """A linear map of our table explains the variance of the published one, and the other way round."""
     file = OTB_ROOT.parent / "color_names" / "w2crs.npy"
     require(file.is_file(), f"no published colour-name table at {file}")
     ours, published = table().astype(float), table(str(file)).astype(float)

@@ -32,7 +32,7 @@ def test_spectra_are_not_scratch():
 
 @pytest.mark.parametrize(("n", "reach"), [(8, (3, 2)), (25, (12, 12)), (25, (8, 4)), (37, (18, 2))])
 def test_backward_equals_numpy_s_inverse(n, reach):
-    """The displacements within reach, x and y, zero in the middle."""
+    """The result has the displacements within reach, with zero in the middle."""
     grids = np.moveaxis(grids_of(n, 2), 1, 0)
     rx, ry = reach
     near = np.full((2, 2 * ry + 1, 2 * rx + 1), np.nan, np.float32)

@@ -17,20 +17,20 @@ WEIGHTS = hnp.arrays(np.float32, 4, elements=st.floats(0.125, 8, width=32))
 
 
 def run(maps, weights=None, config=CONFIG):
-    """The probability maps, the fused one, and the peak; the arguments stay as they are."""
+    """Return the probability maps, the fused map and the peak, without changing the arguments."""
     maps, fused = maps.astype(np.float32), np.full(maps.shape[1:], np.nan, np.float32)
     peak = fuse(maps, np.ones(len(maps), np.float32) if weights is None else weights, config, fused)
     return maps.astype(float), fused.astype(float), peak
 
 
 def test_tops_are_the_highest_responses():
-    """What the reliability tests look at, before a response becomes a probability."""
+    """They are the peaks that the reliability tests use, from before a response becomes a probability map."""
     maps = np.random.default_rng(3).normal(size=(4, 7, 9)).astype(np.float32)
     assert run(maps)[2].tops == maps.max((1, 2)).tolist()
 
 
 def objective(maps, weights, q):
-    """Equation 9, weighted: Σ w_l KL(P_l ‖ Q), with 0 · log 0 = 0."""
+    """Return the weighted equation 9: Σ w_l KL(P_l ‖ Q), with 0 · log 0 = 0."""
     total = 0.0
     for p, w in zip(maps, weights, strict=True):
         there = p > 0
@@ -71,7 +71,7 @@ def test_identical_maps_stay_unchanged(maps, weights):
 @settings(max_examples=40, deadline=None)
 @given(MAPS, WEIGHTS, st.sampled_from([0.25, 3.0, 1000.0]))
 def test_scaling_a_response_does_not_change_the_fused_map(maps, weights, factor):
-    """A probability map does not know how high its response was."""
+    """A probability map does not depend on the height of its response."""
     _, q, _ = run(maps, weights)
     _, scaled, _ = run(maps * np.float32(factor), weights)
     np.testing.assert_allclose(scaled, q, atol=1e-5)

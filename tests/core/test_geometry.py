@@ -85,7 +85,7 @@ def test_grow_rect_rounds_outwards():
 
 
 def looked_up(start, length, out, low, extent):
-    """Coordinates of one axis: thinned out, those outside the region moved to the nearest one inside."""
+    """Return the sampled coordinates of one axis; those outside the region are clipped to it."""
     step = max(length // (2 * out), 1)
     places = start + step * np.arange(length // step)
     inside = places[(places >= low) & (places < low + extent)]
@@ -95,7 +95,7 @@ def looked_up(start, length, out, low, extent):
 
 
 def sample_reference(image, rect, within, out_size):
-    """Every pixel looked up by itself; then one resize."""
+    """Look up each pixel by itself, then resize once."""
     columns, rows = (looked_up(rect[k], rect[k + 2], out_size[k], within[k], within[k + 2]) for k in (0, 1))
     return cv2.resize(image[np.ix_(rows, columns)], out_size, interpolation=cv2.INTER_LINEAR)
 
@@ -124,7 +124,7 @@ def test_sample_repeats_the_border_of_the_region(rect, region, out_size, in_colo
 @pytest.mark.parametrize("step", [1, 2, 3, 7, 49])
 @pytest.mark.parametrize("kind", ["whole", "upside down", "mirrored", "thinned", "other channels", "by columns"])
 def test_columns_equal_a_slice(step, kind):
-    """Also at steps that do not divide the width, and whose reciprocal's reciprocal is not they."""
+    """This holds for steps that do not divide the width, and for steps s with 1 / (1 / s) ≠ s."""
     image = np.random.default_rng(step).integers(0, 256, (20, 301, 3), np.uint8)
     rows = {
         "whole": image,
@@ -160,7 +160,7 @@ def test_a_region_must_lie_in_its_frame(offset):
 
 
 def middle_of(patch):
-    """What is seen in the middle of ``patch`` by a target without models."""
+    """Return the observation in the middle of ``patch`` for a target without models."""
     nothing = np.empty(0, np.uint8)
     return Observation(Crop(patch, 1.0, nothing, nothing, nothing), (0, 0), nothing, nothing)
 
@@ -221,7 +221,7 @@ def test_displacements_count_from_the_middle_of_the_whole_pixel_window(x, y, w, 
 
 
 def test_a_real_shift_has_its_displacement():
-    """A patch that shows the image moved by whole cells leads back to the place."""
+    """A displacement in a patch that shows the image shifted by whole cells gives the place."""
     search = SearchWindow(CONFIG, (40.0, 40.0))  # window of 100×100 and 12 around: a patch pixel is an image pixel
     image = np.random.default_rng(3).integers(0, 256, (300, 300), np.uint8)
     frame, within = Frame.of(image), (0, 0, 300, 300)
@@ -234,7 +234,7 @@ def test_a_real_shift_has_its_displacement():
 
 @pytest.mark.parametrize("patch_size", [32, 100, 150])
 def test_a_window_has_a_margin_if_nearby_windows_are_learned(patch_size):
-    """An eighth of the patch on each side, at the same scale: its middle is the patch without one."""
+    """The margin is an eighth of the patch on each side; the middle equals the patch without a margin."""
     config = CONFIG.replace(patch_size=patch_size)
     with_margin, without = (SearchWindow(config.replace(learn_within=cells), (40.0, 40.0)) for cells in (1.0, 0.0))
     assert with_margin.margin == patch_size // 8

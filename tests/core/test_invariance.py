@@ -43,7 +43,7 @@ def test_the_memory_layout_of_the_image_does_not_matter(layout, frames, clip):
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_gray_frames_may_have_one_channel_or_three(preset):
-    """A grey sequence may come as (H, W) or as (H, W, 3), also one frame so and the next otherwise."""
+    """The shape may change from frame to frame."""
     sequence = synthetic.clip("grey", length=60)
     flat = sequence.frames[:12]
     tripled = [np.repeat(frame[..., None], 3, axis=2) for frame in flat]
@@ -62,7 +62,7 @@ def test_a_color_target_survives_gray_frames(frames, clip):
 @settings(max_examples=12, deadline=None)
 @given(st.integers(0, 24), st.integers(13, 27), st.sampled_from(list(PRESETS)))
 def test_a_shifted_scene_gives_shifted_boxes(frames, clip, dx, dy, preset):
-    """The same pixels in a frame that begins elsewhere: not a bit of the displacement changes, but rounding."""
+    """The same pixels in a frame that begins elsewhere give the same displacements, but for rounding."""
 
     def run(x, y):
         cut = [np.ascontiguousarray(frame[y : y + 200, x : x + 280]) for frame in frames[:5]]

@@ -93,7 +93,7 @@ def test_directions_of_all_quadrants():
 
 
 def test_hog_cells(gray):
-    """The parts in one call."""
+    """One call equals the calls of its parts."""
     patch = patch_of(gray, 32, 60)
     window = np.random.default_rng(0).random((8, 15)).astype(np.float32)
     magnitude, orientation = np.empty((32, 60), np.float32), np.empty((32, 60), np.uint8)
@@ -143,7 +143,7 @@ def test_learn_colors(picture, inner, outer, moved, rate, gain):
 
 @pytest.mark.parametrize("moved", [(0, 0), (5, -3), (-40, 2), (70, 80)])
 def test_shift(moved):
-    """A rectangle that has left the patch is empty, and counts as a pixel."""
+    """A rectangle outside the patch is empty and has an area of one pixel."""
     rectangle, area = color.shift((20, 30, 50, 70), *moved, 100, 110)
     assert rectangle == reference.shift((20, 30, 50, 70), *moved, 100, 110)
     inside = np.zeros((100, 110), bool)
@@ -152,7 +152,7 @@ def test_shift(moved):
 
 
 def test_count_color():
-    """The first of a colour puts it on the list."""
+    """The first pixel of a color appends it to the list."""
     counts, shown = np.zeros(5, np.int64), np.empty(4, np.uint16)
     number = np.uint64(0)
     for bin_ in (3, 1, 3, 3):
@@ -233,7 +233,7 @@ def test_find_peak(seed):
 
 
 def test_every_kernel_has_a_test():
-    """A new kernel needs a twin: its name must appear here or beside."""
+    """Its name must appear in a test file of kernels."""
     source = "".join(file.read_text() for file in Path(__file__).parent.glob("test_kernels*.py"))
     for module in (background, cells, coded, color, fourier, fusion, hog, scale, template):
         for name, value in vars(module).items():

@@ -25,7 +25,7 @@ def data_of(*values):
 
 
 def table(*symbols):
-    """The codes 0, 10, 110 and 1110 for four symbols."""
+    """Return a table with the codes 0, 10, 110 and 1110 for four symbols."""
     return _lookup(bytes([1, 1, 1, 1]) + bytes(12) + bytes(symbols))
 
 
@@ -128,7 +128,7 @@ SAMPLES = {
 
 
 def strictly(data):
-    """What libjpeg makes of it if there is nothing to warn of, and else the first thing that it warns of."""
+    """Return libjpeg's picture, or its first warning."""
     try:
         return simplejpeg.decode_jpeg(data, "BGR"), ""
     except ValueError as refused:
@@ -143,7 +143,7 @@ def test_a_faultless_picture_is_not_changed(data):
 @settings(deadline=None)
 @given(st.sampled_from(sorted(SAMPLES)), st.integers(0, 10**6), st.integers(1, 255))
 def test_a_jpeg_is_damaged_exactly_if_libjpeg_warns(name, place, change):
-    """One byte of the coded data is changed, but no marker is made or lost."""
+    """Change one byte of the coded data without making or losing a marker."""
     data = bytearray(SAMPLES[name])
     at = jpegs.segments(SAMPLES[name])[1]
     at += place % (len(data) - 2 - at)
@@ -163,7 +163,7 @@ def test_a_jpeg_is_damaged_exactly_if_libjpeg_warns(name, place, change):
 
 
 def coded_at(data, place):
-    """Whether that byte is one of coded data, and not of a table or header between two scans."""
+    """Return True if the byte belongs to coded data, and not to a table or header between two scans."""
     inside = False
     at = 2
     while at <= place:

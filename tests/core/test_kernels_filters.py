@@ -65,7 +65,7 @@ def test_phase_shift(n, offset):
 @pytest.mark.parametrize("n", [8, N])
 @pytest.mark.parametrize("offset", [(1, 0), (0, 1), (-3, 2), (4, 4)])
 def test_phase_shift_undoes_a_roll(n, offset):
-    """``offset`` (x, y) cells: where what was in the middle has gone to."""
+    """``offset`` (x, y) is where the middle has moved to, in cells."""
     grids = np.random.default_rng(10).standard_normal((3, n, n))
     dx, dy = offset
     spectra = np.fft.rfft2(np.roll(grids, (dy, dx), (1, 2))).astype(np.complex64)
@@ -75,7 +75,7 @@ def test_phase_shift_undoes_a_roll(n, offset):
 
 @pytest.mark.parametrize("offset", [(0.5, 0.25), (-1.3, 0.8)])
 def test_phase_shift_by_a_fraction_of_a_cell(offset):
-    """The sum of waves through a picture's cells, evaluated beside them."""
+    """Between the cells, the picture is the sum of the waves through them."""
     grid = np.random.default_rng(11).standard_normal((N, N))
     spectra = np.fft.rfft2(grid[None]).astype(np.complex64)
     template.phase_shift(spectra, *offset)
@@ -113,7 +113,7 @@ def test_learn_spectra(spectra, rate):
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0), (0.4, -0.7)])
 def test_learn_shifted_spectra(spectra, label_f, offset):
-    """The parts in one call."""
+    """One call equals the calls of its parts."""
     rng = np.random.default_rng(12)
     numerator = complex_noise(rng, *spectra.shape)
     denominator = rng.random((len(BLOCKS), *spectra.shape[1:])).astype(np.float32)
@@ -154,7 +154,7 @@ def test_fold_rows(n):
 
 @pytest.mark.parametrize("n", [7, 8])
 def test_assemble(n):
-    """From the products of cosines and sines to the half spectra."""
+    """Assemble the half spectra from the products with cosines and sines."""
     grids = np.random.default_rng(12).standard_normal((3, n, n))
     angles = 2 * np.pi / n * np.outer(np.arange(n), np.arange(n))
     half = n // 2 + 1

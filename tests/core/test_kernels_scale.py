@@ -65,7 +65,7 @@ def histogram_of(samples):
 
 
 def cells_of(histogram):
-    """Without the cell for what falls outside, as the twins have it: (cells_y, 18, cells_x, lanes)."""
+    """Return the histogram without the cell for votes outside, as in the twins: (cells_y, 18, cells_x, lanes)."""
     return np.moveaxis(histogram[:-1].reshape(6, 4, 18, LANES), 1, 2)
 
 
@@ -91,7 +91,7 @@ def test_scale_features(samples, epsilon):
 
 
 def test_scale_hog(gray):
-    """The parts in one call."""
+    """One call equals the calls of its parts."""
     cut = patch_of(gray, 60, 80)
     step = np.linspace(0.8, 3.2, LANES, dtype=np.float32)
     epsilon, center = np.float32(10), (np.float32(39.3), np.float32(31.7))
@@ -110,7 +110,7 @@ def test_scale_hog(gray):
 
 @pytest.fixture
 def filter_and_spectra():
-    """Half spectra along scales and the mean of such, (cells, 31, half) each, and their energy."""
+    """Return half spectra along scales and a mean of such, (cells, 31, half) each, and their energy."""
     rng = np.random.default_rng(10)
     return complex_noise(rng, 6, 31, 8), complex_noise(rng, 6, 31, 8), rng.random(8).astype(np.float32)
 

@@ -30,7 +30,7 @@ def run(program):
 
 
 def test_import_is_cheap():
-    """The command line and the service's front import the package without what computes."""
+    """The command line and the service's front import the package without numpy, numba and OpenCV."""
     heavy = "{'numpy', 'numba', 'cv2', 'scipy', 'msgpack'} & set(__import__('sys').modules)"
     assert run(f"import mfcmt_core; mfcmt_core.MFCMTError; print({heavy})").strip() == "set()"
     assert run(f"import mfcmt_core; mfcmt_core.MFCMTConfig.paper(); print({heavy})").strip() == "set()"
@@ -59,7 +59,7 @@ def test_examples_in_docstrings_work(file):
 
 
 def imported(tree):
-    """Every module that a file imports, absolute ones by their full name."""
+    """Yield the full name of each module that a file imports absolutely."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -82,7 +82,7 @@ def test_no_service_and_no_pickle(file):
 
 
 def arrays_of(thing, seen=None):
-    """Every array that is reachable from an object through its attributes and containers."""
+    """Return every array that is reachable from an object through attributes and containers."""
     seen = {} if seen is None else seen
     if id(thing) in seen or isinstance(thing, str | bytes | int | float | type(None)):
         return seen
@@ -104,7 +104,7 @@ def arrays_of(thing, seen=None):
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("box", [(132, 98, 56, 44), (160, 20, 4, 200), (50, 50, 1, 100)])
 def test_a_tracker_takes_little_memory(box, preset, frames):
-    """At most 1.5 MB beside what all trackers of a process share."""
+    """It is at most 1.5 MB, without the memory that all trackers of a process share."""
     MFCMT(PRESETS[preset]).init(frames[0], box)
     list(MFCMT(PRESETS[preset]).track(frames[:5], box))  # scratch of these shapes is there
     gc.collect()

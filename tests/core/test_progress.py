@@ -30,7 +30,7 @@ with Progress(4, "things") as bar:
 
 
 def on_a_terminal(call: list[str]) -> str:
-    """What it writes on a terminal that is its standard error."""
+    """Return what a program writes to a terminal as its standard error."""
     pty = pytest.importorskip("pty", reason="no pseudo-terminals")
     reader, terminal = pty.openpty()
     said = bytearray()

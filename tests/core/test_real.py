@@ -13,7 +13,7 @@ from .helpers import PRESETS, assert_sane, boxes_of
 
 
 def load(root, name, length):
-    """Frames and truth, 0-based."""
+    """Return the frames and the true boxes, 0-based."""
     folder = root / name
     lines = (folder / "groundtruth_rect.txt").read_text().replace(",", " ").splitlines()
     truth = np.array([line.split() for line in lines[:length]], float) - (1, 1, 0, 0)
@@ -43,7 +43,7 @@ def test_real_sequences_are_tracked_with_their_known_overlap(otb_root, name, len
 
 
 def test_gray_sequences_are_recognized(otb_root):
-    """Stored with three channels all the same; Man only looks like it."""
+    """They are stored with three equal channels; Man only looks gray."""
     for name, gray in (("Car1", True), ("Jumping", True), ("Man", False), ("MountainBike", False)):
         frames, truth = load(otb_root, name, 2)
         tracker = MFCMT()

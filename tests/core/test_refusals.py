@@ -83,7 +83,7 @@ CUTS = [
 
 @pytest.fixture
 def running(frames, clip):
-    """A tracker in the middle of a sequence."""
+    """Return a tracker in the middle of a clip."""
     tracker = MFCMT()
     tracker.init(frames[0], clip.boxes[0])
     tracker.update(frames[1])
@@ -92,7 +92,7 @@ def running(frames, clip):
 
 @pytest.fixture
 def unchanged(running, frames):
-    """After the test the tracker is what it was, to the bit, and goes on."""
+    """Assert that the test leaves the tracker unchanged to the last bit, and able to go on."""
     before = running.to_bytes()
     expected = MFCMT.from_bytes(before).update(frames[2])
     yield
@@ -137,7 +137,7 @@ def test_a_bad_region_is_refused(cut, running, frames, clip):
 @pytest.mark.usefixtures("unchanged")
 @pytest.mark.parametrize("missing", range(4))
 def test_a_region_that_is_too_small_is_refused(missing, running, frames, clip):
-    """A cut that lacks one row or column of what is needed."""
+    """The region lacks one row or column of the needed one."""
     x, y, w, h = running.needed_region()
     x0, y0, x1, y1 = x + (missing == 0), y + (missing == 1), x + w - (missing == 2), y + h - (missing == 3)
     cut = frames[2][y0:y1, x0:x1]

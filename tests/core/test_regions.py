@@ -16,7 +16,7 @@ SIZE = (320, 240)
 
 
 def junk(frame, region: Rect, seed):
-    """The frame with noise in place of all that lies outside ``region``."""
+    """Return the frame with noise outside ``region``."""
     out = np.random.default_rng(seed).integers(0, 256, frame.shape, np.uint8)
     x, y, w, h = region
     out[y : y + h, x : x + w] = frame[y : y + h, x : x + w]
@@ -24,14 +24,14 @@ def junk(frame, region: Rect, seed):
 
 
 def cut(frame, region: Rect):
-    """The arguments of a call with just that part of the frame."""
+    """Return the arguments of a call with this region of the frame."""
     x, y, w, h = region
     size = frame.shape[1], frame.shape[0]
     return {"image": frame[y : y + h, x : x + w].copy(), "offset": (x, y), "frame_size": size}
 
 
 def starting_region(config, frame, box) -> Rect:
-    """What a start on ``box`` needs: the refusal of too small a cut says it."""
+    """Return the region that a start on ``box`` needs, from the refusal of a smaller one."""
     x, y = (int(np.clip(v, 0, s - 1)) for v, s in zip(box[:2], (frame.shape[1], frame.shape[0]), strict=True))
     with pytest.raises(RegionTooSmall) as caught:
         MFCMT(config).init(box=box, **cut(frame, (x, y, 1, 1)))
@@ -39,7 +39,7 @@ def starting_region(config, frame, box) -> Rect:
 
 
 def compare(config, frames, box, starts=()):
-    """Follow with whole frames, with noise outside the region, with cuts; all the same, to the last bit."""
+    """Assert that whole frames, noise outside the region, and regions give results equal to the last bit."""
     whole, noisy, narrow, roomy = (MFCMT(config) for _ in range(4))
     statuses = []
     for index, frame in enumerate(frames):
@@ -72,7 +72,7 @@ def test_a_region_gives_the_frame_s_result_while_tracking(scene, preset):
 
 @pytest.mark.parametrize("config", [ALERT, MFCMTConfig.paper().replace(lost_after=8)], ids=["alert", "paper"])
 def test_a_region_gives_the_frame_s_result_through_lost_and_back(config):
-    """At the border, out of the frame, lost, and found again; begun shortly before."""
+    """The target reaches the border, leaves the frame, is lost, and is found."""
     sequence = synthetic.clip("leaves")
     statuses = compare(config, sequence.frames[38:124], sequence.boxes[38])
     assert "lost" in statuses
@@ -86,7 +86,7 @@ def test_a_region_gives_the_frame_s_result_at_the_border(box, preset, frames):
 
 
 def test_a_region_is_enough_for_scales_larger_than_the_window(frames, clip):
-    """Their cut ends where the region does."""
+    """The pixels of the largest scale end where the region does."""
     config = MFCMTConfig.default().replace(window="target", search_area_scale=1.2, num_scales=5, scale_step=1.5)
     compare(config, frames[:8], clip.boxes[0])
 

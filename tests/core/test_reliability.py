@@ -42,7 +42,7 @@ def judge_frame(judge, peaks):
     ],
 )
 def test_each_peak_is_tested_against_its_threshold_of_the_paper(factors, flags):
-    """γ_q = 0.5, γ_t = 0.7, γ_s = 0.5, each times the mean of its own last ten; all three must hold."""
+    """They are γ_q = 0.5, γ_t = 0.7 and γ_s = 0.5 times the mean of ten peaks; a reliable frame passes all."""
     mean = (0.25, 0.5, 0.75)
     verdict = judge_frame(after([mean] * 10), np.multiply(mean, factors).tolist())
     assert (verdict.flags.fused, verdict.flags.template, verdict.flags.statistical) == flags

@@ -27,7 +27,7 @@ def image():
 
 
 def zoomed(image, factor, center=CENTER):
-    """The picture enlarged about ``center`` (continuous coordinates)."""
+    """Return the picture enlarged around ``center`` (continuous coordinates)."""
     x, y = center[0] - 0.5, center[1] - 0.5
     matrix = np.array([[factor, 0, x * (1 - factor)], [0, factor, y * (1 - factor)]])
     return cv2.warpAffine(image, matrix, SIZE, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
@@ -38,7 +38,7 @@ def spectra(model, image, scale=1.0, center=CENTER):
 
 
 def along_scales(spectra, count):
-    """What half spectra are of, along the last axis: ``count`` scales, the present one in the middle."""
+    """Invert half spectra along the last axis: ``count`` scales, the present one in the middle."""
     return np.fft.fftshift(np.fft.irfft(spectra, count), axes=-1)
 
 
@@ -58,14 +58,14 @@ def test_known_scale_factors_are_recovered(image, steps, samples):
 
 
 def test_the_present_scale_is_taken_into_account(image):
-    """The target at 1.2 of its first size, looked at with scale 1.2, has not changed."""
+    """A target at 1.2 times its first size, sampled at scale 1.2, has not changed."""
     model = learned(image)
     assert model.estimate(spectra(model, zoomed(image, 1.2), scale=1.2)) == pytest.approx(1, abs=0.021)
 
 
 @pytest.mark.parametrize(("count", "apart"), [(15, (0, 1, 2, 5)), (33, (0, 1, 4, 12))])
 def test_spectra_are_the_dft_over_scales(image, count, apart):
-    """The inverse returns windowed features in [0, 1], the more alike the nearer their scales."""
+    """The inverse returns windowed features in [0, 1]; the nearer the scales, the more similar."""
     model = learned(image, scale_samples=count)
     seen = spectra(model, image)
     assert seen.dtype == np.complex64
@@ -81,7 +81,7 @@ def test_spectra_are_the_dft_over_scales(image, count, apart):
 
 @pytest.mark.parametrize("count", SAMPLES)
 def test_samples_show_the_target_at_their_scales(image, count):
-    """Smaller ones before the present one, larger ones behind it: each is the present one of a target of its size."""
+    """Smaller scales come first; each sample equals the present one of a target of that size."""
     model = learned(image, scale_samples=count)
     window, same = np.hanning(count + 2)[1:-1], count // 2
     seen = along_scales(spectra(model, image), count) / window
@@ -93,7 +93,7 @@ def test_samples_show_the_target_at_their_scales(image, count):
 
 @pytest.mark.parametrize("samples", SAMPLES)
 def test_filter_is_the_regression_along_scales(image, samples):
-    """Solved densely in one feature: min ‖w ⋆ x - y‖² + λ‖w‖² over circular shifts of scales."""
+    """It equals the dense solution, for one feature, of min ‖w ⋆ x - y‖² + λ‖w‖² over circular shifts of scales."""
     model = learned(image, scale_samples=samples)
     n = model.count
     assert n == samples
@@ -131,7 +131,7 @@ def test_scales_are_33_powers_of_the_step():
 
 
 def test_fifteen_samples_take_as_many_steps_as_33_scales():
-    """33 / 15 of a step each, and a lane of padding."""
+    """Each sample is 33 / 15 of a step from the next; one lane is padding."""
     model = ScaleModel(CONFIG, (50.0, 50.0))
     np.testing.assert_allclose(model.factors, 1.02 ** np.arange(-16.0, 17), rtol=1e-6)
     step = 1.02 ** (33 / 15)
@@ -149,7 +149,7 @@ def response_f_of(model, seen):
 
 @pytest.mark.parametrize("factor", [0.9, 1.0, 1.13])
 def test_between_the_samples_the_response_is_interpolated(image, factor):
-    """By the waves that the samples hold: each sample times the kernel sin πt / (n sin πt/n), t samples away."""
+    """Each sample counts times the kernel sin πt / (n sin πt/n), where t is its distance in samples."""
     model = learned(image)
     response_f = response_f_of(model, spectra(model, zoomed(image, factor)))
     at_samples = along_scales(response_f, 15)
@@ -175,7 +175,7 @@ def test_nothing_is_interpolated_if_all_scales_are_sampled(image, samples):
 @pytest.mark.parametrize("samples", SAMPLES)
 @pytest.mark.parametrize("steps", [-3, -1, 0, 1, 2])
 def test_a_grown_target_is_learned_as_if_sampled_at_its_size(image, steps, samples):
-    """By whole steps between samples: the windowed features, rolled."""
+    """By whole steps between samples, the windowed features are rolled."""
     model, plain = (learned(image, scale_samples=samples) for _ in range(2))
     seen = spectra(model, zoomed(image, 1.1))
     sample_step = 1.02 ** (33 / samples)
@@ -200,7 +200,7 @@ def test_a_fraction_of_a_step_shifts_each_phase_by_its_frequency(image, growth, 
 
 @pytest.mark.parametrize("steps", [-2, -1, 1, 2])
 def test_after_learning_growth_the_estimate_at_the_new_size_is_one(image, steps):
-    """Looked at in the size before, learned with its growth, looked at in its size: no change is left."""
+    """A target sampled at its old size and learned with its growth shows no change at its new size."""
     factor = 1.02**steps
     grown = zoomed(image, factor)
     model = ScaleModel(CONFIG, (70.0, 60.0))
@@ -212,7 +212,7 @@ def test_after_learning_growth_the_estimate_at_the_new_size_is_one(image, steps)
 @pytest.mark.parametrize("samples", [15, 17, 35])
 @pytest.mark.parametrize("scales", [17, 21, 35])
 def test_other_numbers_of_scales_work(image, scales, samples):
-    """Padded to whole lanes, and the padding counts for nothing."""
+    """Scales are padded to whole lanes, and the padding has no effect."""
     model = learned(image, num_scales=scales, scale_samples=samples, scale_step=1.04)
     assert model.estimate(spectra(model, image)) == 1
     assert model.estimate(spectra(model, zoomed(image, 1.04))) == pytest.approx(1.04)
@@ -231,7 +231,7 @@ def test_a_flat_picture_keeps_the_size(image, value):
 @settings(max_examples=100, deadline=None)
 @given(st.floats(1e-3, 4000), st.floats(1e-3, 4000), st.floats(64, 4096))
 def test_samples_are_at_most_as_large_as_configured(w, h, area):
-    """Of the target's aspect to half a cell, between 8 and 64 px a side: also for the thinnest targets."""
+    """They have the target's aspect to half a cell, and sides of 8 to 64 pixels even for the thinnest targets."""
     model = ScaleModel(CONFIG.replace(scale_max_area=area), (w, h))
     for side, exact in ((model.width, np.sqrt(area * w / h)), (model.height, np.sqrt(area * h / w))):
         assert side % 4 == 0

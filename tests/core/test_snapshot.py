@@ -78,7 +78,7 @@ def test_any_bytes_are_refused_without_another_error(kind, data):
 
 
 def test_a_snapshot_has_its_format_and_version(data):
-    """Versioned MessagePack with raw little-endian arrays; nothing is shared with the bytes."""
+    """It is MessagePack with raw little-endian arrays, and shares no memory with the tracker."""
     document = msgpack.unpackb(data)
     assert document["format"] == FORMAT == "mfcmt-tracker"
     assert document["version"] == VERSION

@@ -20,7 +20,7 @@ def packed(values):
 
 
 def as_version_3(tracker):
-    """The document that it would have been: scales as waves, no anchor, no rival and no turn of the scale."""
+    """Return the document as version 3 wrote it: the scale filter as real waves; no anchor, rival or waited."""
     document, target = msgpack.unpackb(tracker.to_bytes()), tracker._target
     document["version"] = 3
     for name in ("anchor", "rival", "waited"):
@@ -34,7 +34,7 @@ def as_version_3(tracker):
 
 
 def scales_as_waves(scale_model):
-    """Cosine and sine sums beside each other and frequency 0 apart; of the energy, that one last."""
+    """Return cosine and sine sums side by side, frequency 0 apart, and the energy with frequency 0 last."""
     numerator = scale_model.numerator.reshape(-1, scale_model.numerator.shape[-1])
     waves, constant = numerator[:, 1:], numerator[:, 0].real
     padding = -waves.shape[1] % LANES
@@ -80,7 +80,7 @@ def test_a_snapshot_of_the_previous_version_is_read(changes, gray):
 
 @pytest.mark.parametrize("seen", [13, 14])
 def test_the_first_snapshots_of_this_version_are_read(seen):
-    """It said nothing of rivals or of when the scale was searched: in every second frame that was learned from."""
+    """They had no rival and no waited; the scale was searched in every second learned frame."""
     sequence = synthetic.clip("motion")
     tracker = MFCMT()
     for result in tracker.track(sequence.frames[:seen], sequence.boxes[0]):
@@ -101,7 +101,7 @@ def test_any_other_version_is_refused(version, frames, clip):
 
 
 def test_the_arrays_of_one_version_are_refused_under_another(frames, clip):
-    """The arrays of one under the number of the other."""
+    """The version number says which arrays are expected."""
     tracker = MFCMT(AS_BEFORE)
     tracker.init(frames[0], clip.boxes[0])
     for document, version in ((as_version_3(tracker), VERSION), (msgpack.unpackb(tracker.to_bytes()), 3)):

@@ -19,7 +19,7 @@ FUZZ = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCh
 
 
 def check(blob, frames):
-    """BadSnapshot, or a tracker that works like any other."""
+    """Assert that the bytes are refused with BadSnapshot or give a working tracker."""
     try:
         tracker = MFCMT.from_bytes(blob)
     except BadSnapshot:
@@ -42,7 +42,7 @@ def check(blob, frames):
 @FUZZ
 @given(st.lists(st.tuples(st.integers(0, 2**30), st.integers(1, 255)), min_size=1, max_size=20), st.booleans())
 def test_a_snapshot_with_flipped_bytes_is_refused_or_tracks(data, frames, flips, at_the_front):
-    """Anywhere, or in the first kilobyte, where all that is not arrays lies."""
+    """Return positions anywhere, or in the first kilobyte, which holds everything but the arrays."""
     blob = bytearray(data)
     for place, mask in flips:
         blob[place % (1000 if at_the_front else len(blob))] ^= mask
@@ -75,7 +75,7 @@ PLAIN = st.recursive(
 
 
 def paths(value, prefix=()):
-    """Every place in the document that a value may stand at."""
+    """Yield every place in the document that holds a value."""
     if prefix:
         yield prefix
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()

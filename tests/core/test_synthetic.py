@@ -52,7 +52,7 @@ def test_frames_follow_from_the_seed_in_any_order():
 @settings(max_examples=60, deadline=None)
 @given(st.floats(-12, 60), st.floats(-12, 45), st.floats(8, 40), st.floats(8, 40), st.floats(1, 5))
 def test_blend_fills_the_box_to_a_fraction_of_a_pixel(x, y, w, h, detail):
-    """A white sprite on black: its mass is the box's area, its centroid the box's middle."""
+    """A white sprite on black has the box's area as its mass and the box's middle as its centroid."""
     frame = np.zeros((128, 128, 3), np.float32)
     offset = np.array([30.0, 30.0])
     white = np.ones((int(h * detail), int(w * detail), 4), np.float32)
@@ -65,7 +65,7 @@ def test_blend_fills_the_box_to_a_fraction_of_a_pixel(x, y, w, h, detail):
 
 
 def test_the_target_is_at_its_true_box():
-    """Cut out of two frames at their truth the target looks alike, a fifth of a pixel beside it less."""
+    """At their true boxes two frames show the target more alike than a fifth of a pixel beside them."""
     sequence = synthetic.clip("motion", grain=0.0)
 
     def cut(i: int, dx: float = 0.0, dy: float = 0.0) -> np.ndarray:

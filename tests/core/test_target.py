@@ -26,7 +26,7 @@ def frame():
 
 
 def target_of(config=DEFAULT, base_size=(40.0, 40.0), is_gray=False):
-    """At 40×40 the window takes 100×100: a pixel of the patch is one of the image."""
+    """Return a target. At 40×40 its window takes 100×100 pixels, so that a pixel of the patch is one of the image."""
     target = Target(config, base_size, is_gray)
     target.center = PLACE
     return target
@@ -130,7 +130,7 @@ def test_a_crop_is_reused_within_its_margin_and_a_step_of_scale(frame, by, scale
     ],
 )
 def test_without_a_margin_every_window_is_a_new_crop(frame, config, by, scale, again):
-    """Unless it would be the same pixels."""
+    """The crop is reused only for the very same pixels."""
     target = target_of(config)
     first = target.observe(frame, READABLE, PLACE)
     assert first.crop.pixels.shape[:2] == (config.patch_size, config.patch_size)
@@ -185,7 +185,7 @@ def test_models_learn_from_a_window_that_is_near(frame, learn_within):
 
 
 def test_the_models_learn_the_target_at_its_place_in_the_window(frame):
-    """A cell to the right and two up: the same pixels are foreground as in a window around the target."""
+    """A window off the target has the same foreground pixels as a window around it."""
     target, other = (target_of(DEFAULT.replace(learn_within=2.0)) for _ in range(2))
     target.center = beside(4, -8)
     target.learn(target.observe(frame, READABLE, PLACE), first=True)
@@ -204,7 +204,7 @@ def test_the_models_learn_the_target_at_its_place_in_the_window(frame):
 
 
 def test_without_a_margin_the_target_is_learned_in_the_middle(frame):
-    """As the paper has it: the place of the cut is rounded to whole pixels, and no more is said."""
+    """As in the paper, the place is rounded to whole pixels and the rest ignored."""
     target, other = target_of(ANEW), target_of(ANEW)
     target.center = beside(0.3, -0.4)
     for each in (target, other):

@@ -37,7 +37,7 @@ def noise(seed, channels):
 
 
 def label_of(m: TemplateModel):
-    """The label in space, zero displacement first: peak value 1 there."""
+    """Return the label in space, with its peak of 1 at zero displacement, which comes first."""
     label = np.fft.irfft2(m.label_f, s=(N, N))
     assert label[0, 0] == pytest.approx(label.max()) == pytest.approx(1)
     return label
@@ -57,7 +57,7 @@ def filter_in_space(m: TemplateModel, block):
 
 
 def respond(m: TemplateModel, spectra):
-    """The whole response, zero displacement in the middle."""
+    """Return the whole response, with zero displacement in the middle."""
     out = np.empty((len(m.names), N - 1, N - 1), np.float32)
     m.respond(spectra, out)
     return out
@@ -66,7 +66,7 @@ def respond(m: TemplateModel, spectra):
 @pytest.mark.parametrize("average", ["filter", "spectra"])
 @pytest.mark.parametrize("features", [("gray",), ("gray", "color_names")])
 def test_equation_2_solves_the_regression_of_equation_1(average, features):
-    """min ‖A w - y‖² + λ ‖w‖² over all channels, λ in the scale of unnormalised transforms."""
+    """Solve min ‖A w - y‖² + λ ‖w‖² over all channels, with λ scaled for unnormalized transforms."""
     m = model(features=features, average=average)
     x = noise(0, m.features.channels)
     m.learn(spectra_of(x))
@@ -106,7 +106,7 @@ def test_equation_3_needs_the_conjugate_that_the_paper_omits(shift):
 
 
 def test_separate_filters_are_independent_regressions():
-    """Three basic models: each regresses on its own channels, each with its response."""
+    """Each of the three models regresses on its own channels and has its own response."""
     m = model(joint_filter=False)
     assert m.names == ("gray", "fhog", "color_names")
     x, z = noise(3, m.features.channels), noise(4, m.features.channels)
@@ -135,7 +135,7 @@ def test_equation_11_averages_filters():
 
 
 def test_equation_11_on_spectra_minimizes_the_weighted_sum_of_all_losses():
-    """With one channel exactly: frames weigh (1-η)², (1-η)η and η."""
+    """With one channel this is exact: frames have the weights (1-η)², (1-η)η and η."""
     m = model(features=("gray",), average="spectra", template_learning_rate=0.2)
     samples = [noise(seed, 1) for seed in (7, 8, 9)]
     for i, x in enumerate(samples):
@@ -151,7 +151,7 @@ def test_equation_11_on_spectra_minimizes_the_weighted_sum_of_all_losses():
 
 @pytest.mark.parametrize(("target", "window"), [((60, 40), "context"), ((30, 90), "target"), ((50, 50), "square")])
 def test_label_is_a_gaussian_of_the_target_s_size(target, window):
-    """Standard deviation 1/16 of √(wh), in cells, peak 1 at zero displacement."""
+    """Its standard deviation is 1/16 of √(wh) in cells, and its peak is 1 at zero displacement."""
     config = MFCMTConfig.default().replace(window=window)
     search = SearchWindow(config, target)
     m = TemplateModel(config, search, is_gray=False)
@@ -165,7 +165,7 @@ def test_label_is_a_gaussian_of_the_target_s_size(target, window):
 
 @pytest.fixture(scope="module")
 def pixels_at():
-    """A function of (dx, dy) in pixels: the patch of 100×100 that shows the target so far from its middle."""
+    """Return a function of (dx, dy): the patch of 100×100 with the target that many pixels from its middle."""
     image = synthetic.clip("motion").frames[0]
 
     def cut(dx, dy):
@@ -179,7 +179,7 @@ def spectra_at(m, patch):
 
 
 def displacement(m, reach, patch):
-    """Where the response to ``patch`` peaks, (x, y) cells."""
+    """Return where the response to ``patch`` peaks, (x, y) in cells."""
     out = np.empty((len(m.names), 2 * reach[1] + 1, 2 * reach[0] + 1), np.float32)
     m.respond(spectra_at(m, patch), out)
     row, column = np.unravel_index(out[0].argmax(), out[0].shape)
@@ -190,7 +190,7 @@ PLACES = [(0, 0), (12, 0), (-8, 8), (4, -12)]
 
 
 def test_a_moved_patch_is_found_at_its_new_place(pixels_at):
-    """From pixels to displacement: 12 px of the patch are 3 cells."""
+    """12 pixels of the patch are a displacement of 3 cells."""
     config = MFCMTConfig.default().replace(background_interval=0)
     search = SearchWindow(config, (56.0, 44.0))
     m = TemplateModel(config, search, is_gray=False)
@@ -213,7 +213,7 @@ def test_a_target_off_the_middle_is_learned_as_if_it_were_there(pixels_at, place
 
 @pytest.mark.parametrize("offset", [(1, 0), (-2, 3), (0.4, -0.7)])
 def test_an_offset_counts_from_the_middle_to_the_target(offset):
-    """Features rolled by whole cells, or a wave between them: the mean is that of the features in the middle."""
+    """Features rolled by whole cells, or waves between them, give the mean of the features in the middle."""
     m, other = model(), model()
     x = spectra_of(noise(3, m.features.channels))
     rows, columns = np.fft.fftfreq(N)[:, None], np.arange(N // 2 + 1) / N
@@ -227,7 +227,7 @@ def test_an_offset_counts_from_the_middle_to_the_target(offset):
 
 
 def test_the_parts_of_a_joint_response_are_its_cues() -> None:
-    """Filters are linear in the channels: what the cues add is the response, and looking changes no bit of it."""
+    """Filters are linear in the channels, so the parts add up to the response; computing them changes no bit."""
     frames = synthetic.clip("motion", length=4)
     watched, plain = MFCMT(), MFCMT()
     for tracker in (watched, plain):
@@ -251,7 +251,7 @@ def test_the_parts_of_a_joint_response_are_its_cues() -> None:
     "changes", [{}, {"joint_filter": False}, {"features": ()}, {"color_histogram": False}], ids=repr
 )
 def test_the_template_peak_is_the_mean_of_the_ridge_filters_highest_responses(changes):
-    """The background-aware filter's and the statistical response are none of them; without a model its peak is 1."""
+    """The background-aware filter's peak does not count. Without a model the peak is 1."""
     clip = synthetic.clip("motion", length=2)
     tracker = MFCMT(MFCMTConfig.default().replace(**changes))
     tracker.init(clip.frames[0], clip.boxes[0])

@@ -147,7 +147,7 @@ def test_a_target_that_leaves_is_lost_and_found_again(config, gray):
 @pytest.mark.parametrize("config", [ALERT, MFCMTConfig.paper().replace(lost_after=8)], ids=["alert", "paper"])
 @pytest.mark.parametrize("place", [(8, 5), (40, 30), (60, 150), (230, 20)])
 def test_a_target_is_found_again_elsewhere(config, place):
-    """It vanishes and comes back far away: only the search over the whole frame finds it."""
+    """It vanishes and comes back far away, where only the search of the whole frame finds it."""
     sequence = synthetic.clip("motion", grain=1.0)
     x, y, w, h = np.rint(sequence.boxes[0]).astype(int)
     shown = sequence.frames[0]
@@ -190,7 +190,7 @@ def test_colors_alone_find_a_lost_target():
 
 
 def drifting(size, seed=0, count=5, gray=False):
-    """Smooth noise of ``size`` (w, h) that moves by a pixel a frame."""
+    """Return frames of smooth noise of ``size`` (w, h) that moves by one pixel per frame."""
     rng = np.random.default_rng(seed)
     channels = () if gray else (3,)
     coarse = rng.integers(0, 256, (size[1] // 4 + 8, size[0] // 4 + 8, *channels), np.uint8)
@@ -250,7 +250,7 @@ def test_every_accepted_box_is_tracked(size, place, sides, config, gray):
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("value", [0, 77, 255])
 def test_frames_without_content_break_nothing(value, preset, frames, clip):
-    """From the first frame on nothing moves; in the middle of a sequence nothing breaks."""
+    """From the first frame on nothing moves, and in the middle of a sequence nothing breaks."""
     flat = np.full_like(frames[0], value)
     results = track(PRESETS[preset], [flat] * 12, (100, 90, 60, 40))
     assert all(r.scale == 1 for r in results)

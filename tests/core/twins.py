@@ -6,7 +6,7 @@ import numpy as np
 
 
 def close(actual, expected, tolerance=2e-5):
-    """Equal up to float32: relative to the largest value."""
+    """Assert that arrays are equal up to float32, relative to the largest value."""
     assert actual.shape == expected.shape
     np.testing.assert_allclose(actual, expected, rtol=1e-4, atol=tolerance * max(1e-6, np.abs(expected).max()))
 

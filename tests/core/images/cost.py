@@ -24,7 +24,7 @@ LIMITS = FrameLimits()
 
 
 def least_ms(ways, data):
-    """For each way to read ``data``, its least time in as many rounds as were asked for."""
+    """Return for each way to read ``data`` its least time over the rounds."""
     best = dict.fromkeys(ways, float("inf"))
     for _ in range(ROUNDS):
         for name, way in ways.items():
@@ -35,7 +35,7 @@ def least_ms(ways, data):
 
 
 def picture(size):
-    """A rendered frame with a sensor's noise."""
+    """Return a rendered frame with sensor noise."""
     image = cv2.resize(synthetic.clip("sample").frames[0], size, interpolation=cv2.INTER_CUBIC)
     return cv2.add(image, np.random.default_rng(0).integers(0, 12, image.shape, dtype=np.uint8))
 

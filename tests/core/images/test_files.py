@@ -29,7 +29,7 @@ def save(path, data):
 @pytest.mark.parametrize("orientation", [1, 3, 6])
 @pytest.mark.parametrize("gray", [False, True])
 def test_an_image_file_gives_the_pixels_that_the_service_decodes(kind, orientation, gray, tmp_path):
-    """Always of three channels, with EXIF's turn or without."""
+    """It always has three channels, with and without the EXIF orientation."""
     data = images.oriented(kind, PICTURE[:, :, 0] if gray else PICTURE, orientation)
     image, _ = decode(data, FrameLimits())
     file = save(tmp_path / "picture", data)
@@ -90,7 +90,7 @@ def test_a_folder_is_read_in_the_order_of_the_numbers_in_its_names(tmp_path):
 
 @pytest.mark.parametrize("name", ["3.heic", "3.HEIF", "3.avif", "3.gif"])
 def test_a_folder_with_an_unsupported_image_is_refused(name, tmp_path):
-    """To pass it over would put the frames after it out of step."""
+    """If it were skipped, later frames would have wrong numbers."""
     with pytest.raises(UsageError, match=rf"{name} is of a kind that cannot be read"):
         media.open_source(str(folder_of(tmp_path, "1.jpg", "2.jpg", name)))
 

@@ -72,7 +72,7 @@ def test_mending_a_faulty_form_changes_no_pixel(odd, good, capfd):
 
 @pytest.mark.parametrize(("odd", "good"), ODD.values(), ids=ODD)
 def test_missing_data_are_refused_in_spite_of_a_faulty_form(odd, good):
-    """Cut anywhere in the coded data: as it is, with an end glued on, with the next picture glued on."""
+    """The data are cut anywhere in the coded part, and end there, with an end marker, or with another picture."""
     first = odd.index(b"\xff\xda") + 20
     last = first + int((len(good) - jpegs.segments(good)[1]) * 0.95)
     for at in np.linspace(first, last, 12).astype(int):
@@ -140,7 +140,7 @@ def test_a_mended_jpeg_decodes_without_a_warning():
 
 
 def test_real_frames_are_not_changed(otb_root):
-    """Nothing is lost in mending, and the pixels are OpenCV's, bit for bit."""
+    """Mending loses nothing: the pixels equal OpenCV's bit for bit."""
     for path in sorted(otb_root.glob("*/img/0001.jpg"))[::4]:
         data = path.read_bytes()
         image = pixels(data)
