@@ -8,6 +8,7 @@ import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
+from ..protocol.enums import ProblemCode
 from .address import Address
 from .connection import Connection, Protocol
 from .errors import ClientError, ConnectionLost, Problem
@@ -102,8 +103,8 @@ def _may_pass(failed: ClientError, ours: bool, resumable: bool) -> bool:
     """
     if not isinstance(failed, Problem):
         return True
-    if failed.code == "attached-elsewhere":
+    if failed.code == ProblemCode.ATTACHED_ELSEWHERE:
         return ours
     if failed.status == 404:
         return resumable
-    return failed.status >= 500 or failed.code == "rate-limited"
+    return failed.status >= 500 or failed.code == ProblemCode.RATE_LIMITED

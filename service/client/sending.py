@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Generic, TypeVar, cast
 
+from ..protocol.enums import ProblemCode
 from .connection import Connection
 from .errors import ClientError, Problem
 from .sources import as_frame, each, image_bytes
@@ -128,7 +129,7 @@ class FrameSender(Generic[T]):
         source = None
         if problem.seq is not None:
             source, _ = self._unanswered.pop(problem.seq, (None, None))
-        if problem.code != "bad-region" or self._encode is None:
+        if problem.code != ProblemCode.BAD_REGION or self._encode is None:
             return False
         self.region = problem.region
         if not self._latest and source is not None:

@@ -9,6 +9,7 @@ from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable, I
 from contextlib import suppress
 from typing import Any, Generic, Self, TypeVar
 
+from ..protocol.enums import ProblemCode
 from .connect import Connector
 from .connection import Connection
 from .controls import PendingControls
@@ -237,7 +238,7 @@ class AsyncStream(Generic[T]):
 
     def _refuse(self, problem: Problem) -> None:
         if self._controls.refuse(problem):
-            if problem.code == "full-frame-needed":
+            if problem.code == ProblemCode.FULL_FRAME_NEEDED:
                 self._sender.region = problem.region
         elif self._sender.refused(problem):
             pass

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import is_dataclass
 from functools import cache
 from typing import Any, TypeVar
 
@@ -31,6 +32,8 @@ VALUES: dict[str, tuple[Any, dict[str, Any]]] = {
 }
 REF = "#/components/schemas/{model}"
 _OPEN = (answers.ProblemDocument.__name__,)
+# What the service sends has all of its fields, also those with a default for rows and clients of before.
+_SENT: dict[str, Any] = {name: kind for name, kind in vars(answers).items() if is_dataclass(kind)}
 _TAGGED = {kind.__name__: kind for kind in (*answers.STREAM_MESSAGES, *requests.STREAM_MESSAGES)}
 
 
@@ -65,12 +68,11 @@ def _finished(name: str, schema: dict[str, Any], enums: Mapping[str, Any]) -> di
     properties: dict[str, Any] = schema["properties"]
     for field, value in properties.items():
         if (closed := enums.get(value.get("$ref"))) is not None:
-            said = {key: told for key, told in value.items() if key != "$ref"}
-            properties[field] = said | {
-                "enum": closed["enum"],
-                "title": field.replace("_", " ").title(),
-                "type": "string",
-            }
+            del value["$ref"]
+            value |= {"enum": closed["enum"], "title": field.replace("_", " ").title(), "type": "string"}
+    if (sent := _SENT.get(name)) is not None:
+        optional = getattr(sent, "OPTIONAL", ())
+        schema["required"] = [field for field in properties if field not in optional]
     if (kind := _TAGGED.get(name)) is not None:
         schema["properties"] = {"type": {"const": kind.TYPE, "title": "Type", "type": "string"}, **properties}
         schema["required"] = ["type", *schema.get("required", ())]
