@@ -41,8 +41,8 @@ def ref(name: str) -> dict[str, str]:
 def problems(*codes: str) -> dict[int | str, dict[str, Any]]:
     """Return the responses of a call that can refuse with ``codes``, by status."""
     by_status: defaultdict[int, list[ProblemCode]] = defaultdict(list)
-    for code in dict.fromkeys(codes):
-        by_status[CATALOGUE[code].status].append(ProblemCode(code))
+    for code in map(ProblemCode, dict.fromkeys(codes)):
+        by_status[CATALOGUE[code].status].append(code)
     return {
         status: {
             "description": "; ".join(f"`{code}`: {CATALOGUE[code].title}" for code in here),

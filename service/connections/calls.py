@@ -13,6 +13,7 @@ from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
 from .. import turns
 from ..observability.sampled import Sampled
+from ..protocol.enums import ProblemCode
 from ..protocol.problems import CATALOGUE, MEDIA_TYPE, ProblemError
 from ..sessions.byte_budget import ANONYMOUS, ByteBudget, Reservation
 from ..settings import Settings
@@ -146,7 +147,7 @@ class CallProtocol(HttpToolsProtocol):
 
     def send_400_response(self, msg: str) -> None:
         """A problem, like every refusal; ``msg`` is uvicorn's own or ours and holds nothing of the request."""
-        problem = ProblemError("bad-request", msg.rstrip("."))
+        problem = ProblemError(ProblemCode.BAD_REQUEST, msg.rstrip("."))
         log.info("call refused", code=problem.code, detail=problem.detail)
         self._refuse(problem)
 
@@ -252,7 +253,7 @@ class CallProtocol(HttpToolsProtocol):
             if self._unread_bytes or (self.cycle is not None and self.cycle.response_started):
                 self.transport.abort()
             else:
-                self._refuse(ProblemError("at-capacity", "too much is under way at once", retry_after_s=1.0))
+                self._refuse(ProblemError(ProblemCode.AT_CAPACITY, "too much is under way at once", retry_after_s=1.0))
 
     def _refuse(self, problem: ProblemError) -> None:
         """Answer outside of the application, and close."""

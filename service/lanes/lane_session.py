@@ -182,7 +182,7 @@ class LaneSession:
         try:
             image, info = decode(data, self._limits.frame)
         except FrameError as bad:
-            raise ProblemError(bad.code, bad.detail) from bad
+            raise ProblemError(ProblemCode(bad.code), bad.detail) from bad
         size = (info.width, info.height)
         if self._size != (0, 0):
             self._check_region(size, region)

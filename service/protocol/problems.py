@@ -23,7 +23,7 @@ class Kind:
 
 
 _C = ProblemCode
-CATALOGUE: dict[str, Kind] = {
+CATALOGUE: dict[ProblemCode, Kind] = {
     _C.BAD_REQUEST: Kind(
         400,
         "The request is malformed",
@@ -183,7 +183,7 @@ class ProblemError(Exception):
     Parameters
     ----------
     code
-        A row of the catalogue. Raises ValueError for a text that is none of its codes.
+        The row of the catalogue.
     detail
         What is wrong with this very call or message, and what to do; anyone may read it.
     ref
@@ -192,8 +192,8 @@ class ProblemError(Exception):
         Extension members of the problem document, such as ``retry_after_s`` or ``region``.
     """
 
-    def __init__(self, code: ProblemCode | str, detail: str, *, ref: float | str | None = None, **members: Any) -> None:
-        self.code = ProblemCode(code)
+    def __init__(self, code: ProblemCode, detail: str, *, ref: float | str | None = None, **members: Any) -> None:
+        self.code = code
         super().__init__(f"{self.code}: {detail}")
         self.detail = detail
         self.ref = ref

@@ -7,7 +7,7 @@ goes after the last one of the row and has a default: rows that were kept before
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, astuple, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from typing import Any, ClassVar
 
 from .enums import Status
@@ -86,26 +86,7 @@ class Target:
 ROW_FIELDS = tuple(one.name for one in fields(Target) if one.name != "maps")
 """The names of a row's values."""
 _DEFAULTS = tuple(None if one.default is MISSING else one.default for one in fields(Target) if one.name != "maps")
-_PARTS: dict[str, type[Flags] | type[Scores]] = {"flags": Flags, "scores": Scores}
-_PART_NAMES = {name: tuple(one.name for one in fields(part)) for name, part in _PARTS.items()}
-
-
-def to_row(target: Target) -> Row:
-    """Return the row of ``target``; its maps are not in it."""
-    values = {name: getattr(target, name) for name in ROW_FIELDS}
-    for name in _PARTS:
-        values[name] = values[name] and astuple(values[name])
-    return list(values.values())
-
-
-def from_row(row: Sequence[Any]) -> Target:
-    """Return the target of a row, which may be older than the newest fields."""
-    values = dict(zip(ROW_FIELDS, complete(row), strict=True))
-    for name, part in _PARTS.items():
-        values[name] = values[name] and part(*values[name])
-    values["box"] = tuple(values["box"])
-    values["status"] = Status(values["status"])
-    return Target(**values)
+_PARTS = {name: tuple(part.name for part in fields(kind)) for name, kind in (("flags", Flags), ("scores", Scores))}
 
 
 def complete(row: Sequence[Any]) -> Row:
@@ -118,7 +99,7 @@ def row_to_map(row: Row, maps: Mapping[str, bytes] | None = None) -> dict[str, A
     if len(row) < len(ROW_FIELDS):
         row = complete(row)
     target = dict(zip(ROW_FIELDS, row, strict=False))
-    for name, parts in _PART_NAMES.items():
+    for name, parts in _PARTS.items():
         if values := target[name]:
             target[name] = dict(zip(parts, values, strict=True))
     if maps is not None:

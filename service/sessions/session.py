@@ -339,4 +339,4 @@ class Session:
 
 
 def _refusal(code: str, detail: str, members: dict[str, Any]) -> ProblemError:
-    return ProblemError(code, detail, **members)
+    return ProblemError(ProblemCode(code), detail, **members)
