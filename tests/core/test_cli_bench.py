@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from pathlib import Path
 from typing import ClassVar
 
@@ -13,13 +12,11 @@ import pytest
 
 from mfcmt_core import MFCMT, synthetic
 from mfcmt_core.cli import UsageError, bench, costs, measure, versus
-
-SCRIPT = Path(sys.executable).with_name("mfcmt")
+from tests.commands import run_command
 
 
 def run(*args: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    words = [str(SCRIPT), "bench", *map(str, args)]
-    return subprocess.run(words, capture_output=True, text=True, timeout=300, check=False, cwd=cwd)
+    return run_command("bench", *args, cwd=cwd)
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +53,14 @@ def test_p99_leaves_out_frames_on_which_the_target_is_lost():
     assert f"{clip['p99_over_median']:.2f}" in bench.table(report)
 
 
-def test_costs_have_all_figures():
-    report = costs.measure(MFCMT().config, 6)
+@pytest.fixture(scope="module")
+def costs_report():
+    """What a few frames cost."""
+    return costs.measure(MFCMT().config, 4)
+
+
+def test_costs_have_all_figures(costs_report):
+    report = costs_report
     assert set(report["update_ms"]) == {"vga", "full_hd", "lost_vga", "lost_full_hd"}
     assert all(ms > 0 for ms in report["update_ms"].values())
     assert report["targets"]["10"] > report["targets"]["1"] > report["targets"]["decode_ms"] > 0
@@ -69,7 +72,8 @@ def test_costs_have_all_figures():
     assert json.loads(json.dumps(report, allow_nan=False)) == report
 
 
-def test_command_prints_costs():
+def test_command_prints_costs(costs_report, monkeypatch):
+    monkeypatch.setattr(costs, "measure", lambda config, frames: costs_report if frames == 4 else None)
     done = run("--costs", "--frames", 4)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith(measure.cpu_name())

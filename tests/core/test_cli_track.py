@@ -1,4 +1,4 @@
-"""``mfcmt track``, run as people run it: the console script, on folders and on a video."""
+"""``mfcmt track`` on folders and on a video: its results, its messages and its exit codes."""
 
 from __future__ import annotations
 
@@ -17,14 +17,20 @@ import pytest
 from mfcmt_core import MFCMT, MFCMTConfig, TrackResult, synthetic
 from mfcmt_core.cli import main
 from mfcmt_core.cli.media import Source
+from tests.commands import run_command
 
 SCRIPT = Path(sys.executable).with_name("mfcmt")
 LENGTH = 20
 
 
 def track(*args: object, **kwargs: object) -> subprocess.CompletedProcess[str]:
+    return run_command("track", *args, **kwargs)
+
+
+def track_as_typed(*args: object) -> subprocess.CompletedProcess[str]:
+    """Run the console script in a process of its own."""
     words = [str(SCRIPT), "track", *map(str, args)]
-    return subprocess.run(words, capture_output=True, text=True, timeout=300, check=False, **kwargs)
+    return subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
 
 
 def one_based(results: list[TrackResult]) -> np.ndarray:
@@ -58,7 +64,7 @@ def truth(clip):
 
 
 def test_csv_is_the_default_and_equals_the_library(folder, box, truth):
-    done = track(folder, "--box", box)
+    done = track_as_typed(folder, "--box", box)
     assert (done.returncode, done.stderr) == (0, "")
     rows = list(csv.DictReader(io.StringIO(done.stdout)))
     assert [int(r["frame"]) for r in rows] == list(range(LENGTH))
@@ -125,7 +131,7 @@ def test_video_in_and_annotated_video_out(clip, box, tmp_path):
     writer.release()
     for suffix in (".mp4", ".webm"):
         out = tmp_path / f"out{suffix}"
-        done = track(source, "--box", box, "--video", out)
+        done = track_as_typed(source, "--box", box, "--video", out)
         assert (done.returncode, done.stderr) == (0, "")
         assert len(done.stdout.splitlines()) == LENGTH + 1
         capture = cv2.VideoCapture(str(out))
