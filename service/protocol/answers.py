@@ -22,6 +22,11 @@ def _never_null(schema: dict[str, Any]) -> None:
     schema |= schema.pop("anyOf")[0]
 
 
+def _region_by_name(schema: dict[str, Any]) -> None:
+    """Refer to the schema of a region: schemathesis does not read ``prefixItems`` inside a problem."""
+    schema["anyOf"][0] = {"$ref": "Region"}
+
+
 @dataclass(frozen=True, slots=True)
 class Timing:
     """Where the service spent its time, in milliseconds of the monotonic clock."""
@@ -173,7 +178,9 @@ class ProblemDocument:
         default=0, metadata={"ge": 0, "description": "seconds after which trying again makes sense"}
     )
     reason: str | None = field(default=None, metadata={"description": "how a session ended"})
-    region: Region | None = field(default=None, metadata={"description": "what a region must cover"})
+    region: Region | None = field(
+        default=None, metadata={"description": "what a region must cover", "json_schema_extra": _region_by_name}
+    )
     request_id: str | None = field(default=None, metadata={"description": "finds a fault of the service in its log"})
 
 
