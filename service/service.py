@@ -18,9 +18,10 @@ from .protocol.answers import SessionInfo, StreamAddress, instant, message
 from .protocol.enums import CloseCode
 from .sessions.byte_budget import ANONYMOUS, ByteBudget
 from .sessions.concurrency import ConcurrencyLimit
+from .sessions.interface import AttachedStream
 from .sessions.rate_limiter import RateLimiter
 from .sessions.registry import SessionRegistry
-from .sessions.session import AttachedStream, Session
+from .sessions.session import Session
 from .settings import Settings
 from .snapshot_signer import SnapshotSigner
 

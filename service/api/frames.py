@@ -15,7 +15,8 @@ from ..protocol.answers import Result
 from ..protocol.enums import ProblemCode
 from ..protocol.problems import ProblemError
 from ..protocol.values import MAX_SEQ, check_echo, check_region, check_seq
-from ..sessions.session import QueuedFrame, Session
+from ..sessions.interface import QueuedFrame
+from ..sessions.session import Session
 from . import contract
 from .deps import AnswerDep, ServiceDep, SessionDep
 from .uploads import read_upload, refuse_others

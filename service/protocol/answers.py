@@ -298,13 +298,21 @@ def message(kind: type, /, **values: Any) -> dict[str, Any]:
     KeyError
         A field is missing.
     """
-    sent: dict[str, Any] = {} if (tag := getattr(kind, "TYPE", None)) is None else {"type": tag}
-    optional: Sequence[str] = getattr(kind, "OPTIONAL", ())
-    for name in field_names(kind):
-        value = values[name]
-        if value is not None or name not in optional:
-            sent[name] = value
+    head, names, optional = _layout(kind)
+    if tuple(values) != names:
+        values = {name: values[name] for name in names}
+    sent = head | values
+    for name in optional:
+        if sent[name] is None:
+            del sent[name]
     return sent
+
+
+@cache
+def _layout(kind: type) -> tuple[dict[str, Any], tuple[str, ...], Sequence[str]]:
+    """Return what a message begins with, the names of its fields in order, and those that may be left out."""
+    tag = getattr(kind, "TYPE", None)
+    return {} if tag is None else {"type": tag}, field_names(kind), getattr(kind, "OPTIONAL", ())
 
 
 def instant(moment: datetime) -> str:

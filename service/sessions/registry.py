@@ -20,7 +20,8 @@ from ..protocol.requests import Options
 from ..settings import Settings
 from .admission import Admission, KeyQuotas
 from .idempotency import IdempotentCreations
-from .session import AttachedStream, Session
+from .interface import AttachedStream
+from .session import Session
 from .store import SessionRecord, SessionStore
 from .ttl_cache import TTLCache
 

@@ -6,13 +6,12 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from datetime import datetime
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import structlog
 
-from ..keys import Identity
 from ..lanes.interface import LaneLost
 from ..observability.stages import Stages
 from ..protocol.answers import Result, Timing, message
@@ -21,6 +20,7 @@ from ..protocol.problems import ProblemError, session_gone
 from ..protocol.requests import Options
 from ..protocol.target import Row, row_to_map, rows_to_maps
 from ..protocol.values import MAX_SEQ
+from .interface import AttachedStream, QueuedFrame
 from .lane_state import LaneState, Poisoned
 from .rate_limiter import TokenBucket
 from .replay_log import Operation
@@ -29,37 +29,6 @@ from .trajectory import TrajectoryEntry, TrajectoryLog
 T = TypeVar("T")
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.session")
-
-
-@dataclass(slots=True)
-class QueuedFrame:
-    """A frame on its way to the lane. ``arrived`` and ``queued`` are seconds of the monotonic clock."""
-
-    data: bytes
-    seq: int
-    ts: float | str | None
-    region: list[int] | None
-    arrived: float
-    queued: float
-
-
-class AttachedStream(Protocol):
-    """The stream that is attached to a session, as the session sees it. Only its owner knows ``name``."""
-
-    name: str
-    identity: Identity
-
-    def tell(self, message: dict[str, Any]) -> None:
-        """Send a message when there is room."""
-
-    def finish(self, code: int, reason: str) -> None:
-        """Read no more, answer what has been read, and close."""
-
-    def end(self, code: int, reason: str) -> None:
-        """Close, and discard what waits."""
-
-    def check(self, now: float) -> None:
-        """Cut the connection if the client has stopped reading."""
 
 
 class Session:
@@ -158,30 +127,10 @@ class Session:
     async def track(
         self, frame: QueuedFrame, *, dropped: int = 0, controls: list[dict[str, Any]] | None = None
     ) -> tuple[dict[str, Any], list[ProblemError | None], Stages]:
-        """Track all targets in one frame.
+        """Track all targets in one frame, on which ``controls`` act. Raises ProblemError; then nothing has changed.
 
-        Parameters
-        ----------
-        frame
-            The frame, with its number.
-        dropped
-            The number of frames superseded since the previous result.
-        controls
-            What is to be added, corrected or removed on this very frame, as maps for the lane.
-
-        Returns
-        -------
-        result : dict
-            The Result of the protocol.
-        answers : list
-            For each control None, or its refusal.
-        stages : Stages
-            The time that each stage took.
-
-        Raises
-        ------
-        ProblemError
-            The frame is refused, and nothing has changed.
+        Return the Result of the protocol, for each control None or its refusal, and the time that each stage took.
+        ``dropped`` is the number of frames superseded since the previous result.
         """
         args: dict[str, Any] = {"seq": frame.seq}
         if frame.region is not None:

@@ -19,8 +19,9 @@ from ..protocol.documents import Unreadable
 from ..protocol.enums import CloseCode, ProblemCode
 from ..protocol.problems import ProblemError
 from ..protocol.requests import Control
+from ..sessions.interface import QueuedFrame
 from ..sessions.rate_limiter import RateLimiter
-from ..sessions.session import QueuedFrame, Session
+from ..sessions.session import Session
 from ..settings import Settings
 from .frame_queue import FrameQueue
 from .message_limits import MessageLimits

@@ -11,7 +11,7 @@ from ..protocol.enums import Mode, ProblemCode
 from ..protocol.problems import ProblemError
 from ..protocol.requests import Control
 from ..sessions.byte_budget import Reservation
-from ..sessions.session import QueuedFrame
+from ..sessions.interface import QueuedFrame
 
 MAX_WAITING_CONTROLS = 64
 

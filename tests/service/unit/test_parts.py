@@ -16,8 +16,8 @@ from service.protocol.enums import Mode
 from service.protocol.problems import ProblemError
 from service.protocol.requests import Remove
 from service.sessions.byte_budget import ByteBudget, Reservation
+from service.sessions.interface import QueuedFrame
 from service.sessions.rate_limiter import TokenBucket
-from service.sessions.session import QueuedFrame
 from service.sessions.trajectory import TrajectoryEntry, TrajectoryLog, unpacked
 from service.sessions.ttl_cache import TTLCache
 from service.stream.frame_queue import FrameQueue

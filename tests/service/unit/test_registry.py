@@ -18,8 +18,9 @@ from service.protocol.enums import Preset
 from service.protocol.problems import ProblemError
 from service.protocol.requests import Options
 from service.sessions.admission import KeyQuotas
+from service.sessions.interface import QueuedFrame
 from service.sessions.registry import SessionRegistry
-from service.sessions.session import QueuedFrame, Session
+from service.sessions.session import Session
 from service.settings import Settings
 
 ROW = [0, [1.0, 2.0, 3.0, 4.0], "tracking", None, None, None, None, True, 1.0]

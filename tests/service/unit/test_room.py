@@ -20,8 +20,8 @@ from service.protocol.enums import Mode
 from service.protocol.problems import ProblemError
 from service.sessions.byte_budget import ANONYMOUS, ByteBudget, Reservation
 from service.sessions.concurrency import ConcurrencyLimit
+from service.sessions.interface import QueuedFrame
 from service.sessions.rate_limiter import MAX_DELAY_S, RateLimiter
-from service.sessions.session import QueuedFrame
 from service.sessions.trajectory import TrajectoryEntry
 from service.settings import Settings
 from service.stream.frame_queue import FrameQueue
