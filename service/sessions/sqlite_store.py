@@ -45,6 +45,7 @@ class SqliteStore:
         try:
             self._found, self._damaged = self._file.read()
         except sqlite3.Error as broken:
+            self._file.close()
             raise self._file.unusable(broken) from broken
         self._stored = {saved.id for saved in self._found}
 

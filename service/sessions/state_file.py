@@ -76,8 +76,9 @@ class StateFile:
     def open(self) -> None:
         """Open the file, or make it. Raises StateDirError."""
         try:
-            self.db = self._connect()
+            self._connect()
         except (OSError, sqlite3.Error) as broken:
+            self.close()
             raise self.unusable(broken) from broken
 
     def read(self) -> tuple[list[SavedSession], list[tuple[str, str]]]:
@@ -127,6 +128,7 @@ class StateFile:
         """Close the file, if it is open."""
         if self.db is not None:
             self.db.close()
+            self.db = None
 
     def unusable(self, broken: Exception) -> StateDirError:
         """Return the error that says why the directory cannot be used, and what to do."""
@@ -136,7 +138,7 @@ class StateFile:
         assert self.db is not None
         return self.db
 
-    def _connect(self) -> sqlite3.Connection:
+    def _connect(self) -> None:
         self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if self.folder.stat().st_mode & 0o007:
             log.warning("the state directory is open to every user", folder=str(self.folder))
@@ -159,7 +161,6 @@ class StateFile:
         db.execute("COMMIT")
         _erase_remains(db)
         self.empty_log()
-        return db
 
 
 def _hint(broken: Exception) -> str:
