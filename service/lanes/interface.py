@@ -6,6 +6,8 @@ from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from ..protocol.enums import LaneLoss
+
 Buffers = Sequence[bytes | memoryview]
 
 
@@ -20,7 +22,7 @@ class LaneLost(Exception):
     key was) or ``absent`` (the key has no lane). ``in_work`` is True if the lane was working on this very call.
     """
 
-    def __init__(self, cause: str, *, in_work: bool = False) -> None:
+    def __init__(self, cause: LaneLoss, *, in_work: bool = False) -> None:
         super().__init__(cause)
         self.cause, self.in_work = cause, in_work
 
@@ -41,7 +43,7 @@ class KeysLost:
     """An event: a lane has died, and the state that it held for these keys is gone."""
 
     lane: int
-    cause: str
+    cause: LaneLoss
     keys: tuple[str, ...]
 
 

@@ -11,6 +11,7 @@ from collections.abc import AsyncIterator
 from multiprocessing import forkserver
 from typing import Any
 
+from ..protocol.enums import LaneLoss
 from .balance import Rebalancer, RecentUsage
 from .interface import (
     AtCapacity,
@@ -115,7 +116,7 @@ class LanePool:
         if key in self._homes:
             return Place(self._homes[key].number, "")
         work = self._work()
-        self._displaced.setdefault(key, (min(range(len(self._lanes)), key=work.__getitem__), "restart"))
+        self._displaced.setdefault(key, (min(range(len(self._lanes)), key=work.__getitem__), LaneLoss.RESTART))
         while True:
             number, cause = self._displaced[key]
             lane: LaneProcess | None = self._lanes[number]
@@ -129,7 +130,7 @@ class LanePool:
             self._changed.clear()
             await self._changed.wait()
             if key not in self._displaced:
-                raise LaneLost("released")
+                raise LaneLost(LaneLoss.RELEASED)
 
     def holds(self, key: str) -> bool:
         """Return whether ``key`` has a place in a lane."""
@@ -139,7 +140,7 @@ class LanePool:
         """Do one operation in the key's lane and return the reply. Raises LaneLost."""
         lane = self._homes.get(key)
         if lane is None:
-            raise LaneLost("absent")
+            raise LaneLost(LaneLoss.ABSENT)
         return await lane.call(key, request)
 
     def release(self, key: str) -> None:
@@ -221,13 +222,13 @@ class LanePool:
             await lane.start(self._context, self._limits)
         except (OSError, EOFError):
             lane.kill()
-            self._lost(lane, "start")
+            self._lost(lane, LaneLoss.START)
 
     def _ready(self, lane: LaneProcess) -> None:
         self._events.put_nowait(LaneReady(lane.number, lane.confined))
         self._changed.set()
 
-    def _lost(self, lane: LaneProcess, cause: str) -> None:
+    def _lost(self, lane: LaneProcess, cause: LaneLoss) -> None:
         if self._stopping:
             return
         lane.kill()  # a worker whose socket is gone may still be computing
@@ -248,9 +249,9 @@ class LanePool:
             await asyncio.sleep(WATCH_EVERY_S)
             for lane in self._lanes:
                 if lane.overdue_s() > self._deadline_s:
-                    lane.kill("hung")
+                    lane.kill(LaneLoss.HUNG)
                 elif rss_bytes(lane.pid) > self._max_rss_bytes:
-                    lane.kill("memory")
+                    lane.kill(LaneLoss.MEMORY)
                 elif lane.pid and not lane.ready and lane.lasted_s() > self._start_timeout_s:
                     lane.kill()
 

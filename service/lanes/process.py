@@ -14,6 +14,7 @@ from typing import cast
 
 import msgpack
 
+from ..protocol.enums import LaneLoss
 from . import worker
 from .fair_queue import FairOwnerQueue
 from .framing import HELLO, NO_REPLY, TOOK, FramingError, Splitter, encode_call, framed
@@ -46,7 +47,7 @@ class LaneProcess(asyncio.Protocol):
         number: int,
         *,
         on_ready: Callable[[LaneProcess], None],
-        on_lost: Callable[[LaneProcess, str], None],
+        on_lost: Callable[[LaneProcess, LaneLoss], None],
         on_used: Callable[[str, float], None],
     ) -> None:
         self.number = number
@@ -63,7 +64,7 @@ class LaneProcess(asyncio.Protocol):
         self._expected: dict[str, float] = {}
         self._in_flight: deque[tuple[int, PendingCall]] = deque()
         self._working_since = 0.0
-        self._cause = "died"
+        self._cause = LaneLoss.DIED
         self._calls = 0
         self._splitter = Splitter()
         self._transport: asyncio.WriteTransport | None = None
@@ -106,7 +107,7 @@ class LaneProcess(asyncio.Protocol):
         """Have the lane drop its state for ``key``, behind the operation in work."""
         self._expected.pop(key, None)
         for call in self._queue.forget(self.keys.pop(key), key):
-            _fail(call, LaneLost("released"))
+            _fail(call, LaneLost(LaneLoss.RELEASED))
         if self._transport is not None and not self.lost:
             self._transport.writelines(framed(NO_REPLY, encode_call("drop", key, {})))
 
@@ -114,9 +115,9 @@ class LaneProcess(asyncio.Protocol):
         """Return the seconds since the operation in work began, 0 if there is none."""
         return time.monotonic() - self._working_since if self._in_flight else 0.0
 
-    def kill(self, cause: str = "died") -> None:
+    def kill(self, cause: LaneLoss = LaneLoss.DIED) -> None:
         """End the worker at once. The first ``cause`` is the one that is reported."""
-        if self._cause == "died":
+        if self._cause is LaneLoss.DIED:
             self._cause = cause
         if self._process is not None and self._process.pid is not None:
             self._process.kill()

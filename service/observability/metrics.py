@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
+from ..protocol.enums import CloseCode, EndReason, LaneLoss, Preset
 from ..protocol.problems import CATALOGUE
 from ..sessions.byte_budget import ByteBudget
 from .lag import Lag
@@ -22,13 +23,21 @@ SECONDS = (0.0005, 0.001, 0.002, 0.003, 0.005, 0.0075, 0.01, 0.02, 0.03, 0.05, 0
 SIZES = tuple(2**n for n in range(16, 27))
 # What the front does itself takes tens of microseconds, until something is wrong.
 SHORT_SECONDS = (0.00005, 0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.05, 0.25, 1.0)
-PRESETS = ("default", "paper")
-ENDS = ("closed", "idle", "expired", "lost")
 DROPS = ("superseded", "frame-too-large", "unsupported-image", "frame-undecodable", "frame-size-changed", "bad-region")
-CAUSES = ("died", "hung", "memory", "start")
+CAUSES = (LaneLoss.DIED, LaneLoss.HUNG, LaneLoss.MEMORY, LaneLoss.START)
 WHYS = ("frames", "bytes", "budget", "stop", "move")
-RETURNS = ("died", "hung", "memory", "restart", "fault")
-CLOSES = ("1000", "1011", "1012", "4400", "4401", "4408", "4409", "4410", "4429")
+RETURNS = (LaneLoss.DIED, LaneLoss.HUNG, LaneLoss.MEMORY, LaneLoss.RESTART, LaneLoss.FAULT)
+CLOSES = (
+    CloseCode.SESSION_CLOSED,
+    CloseCode.INTERNAL,
+    CloseCode.RESTART,
+    CloseCode.UNREADABLE,
+    CloseCode.UNAUTHENTICATED,
+    CloseCode.IDLE,
+    CloseCode.ATTACHED_ELSEWHERE,
+    CloseCode.SESSION_GONE,
+    CloseCode.RATE_LIMITED,
+)
 
 
 class Metrics:
@@ -52,8 +61,8 @@ class Metrics:
         def sizes(name: str, text: str) -> Histogram:
             return Histogram(name, text, buckets=SIZES, registry=self.registry)
 
-        self.sessions_created = counter("mfcmt_sessions_created_total", "Sessions made or restored", preset=PRESETS)
-        self.sessions_closed = counter("mfcmt_sessions_closed_total", "Sessions ended", reason=ENDS)
+        self.sessions_created = counter("mfcmt_sessions_created_total", "Sessions made or restored", preset=Preset)
+        self.sessions_closed = counter("mfcmt_sessions_closed_total", "Sessions ended", reason=EndReason)
         self.refused_sessions = counter(
             "mfcmt_admission_rejected_total",
             "Sessions refused for want of a place",
@@ -67,7 +76,9 @@ class Metrics:
         self.problems = counter("mfcmt_problems_total", "Refusals told to clients", code=CATALOGUE)
         self.requests = counter("mfcmt_http_requests_total", "HTTP calls answered", method=(), path=(), status=())
         self.streams = Gauge("mfcmt_ws_connections", "Attached streams", registry=self.registry)
-        self.stream_closes = counter("mfcmt_ws_closes_total", "Streams closed by the service", code=CLOSES)
+        self.stream_closes = counter(
+            "mfcmt_ws_closes_total", "Streams closed by the service", code=(str(int(code)) for code in CLOSES)
+        )
         self.lane_restarts = counter("mfcmt_lane_restarts_total", "Lanes replaced", cause=CAUSES)
         self.receive_seconds = seconds(
             "mfcmt_frame_receive_seconds", "From a frame's arrival to the queue: parsed and checked", SHORT_SECONDS

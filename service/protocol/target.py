@@ -77,7 +77,7 @@ class Target:
     maps: Mapping[str, bytes] | None = field(
         default=None,
         metadata={
-            "description": "response maps as grey PNG, base64 in JSON, where `maps` was asked for",
+            "description": "response maps as gray PNG, base64 in JSON, where `maps` was asked for",
             "json_schema_extra": _in_json,
         },
     )

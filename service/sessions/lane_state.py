@@ -157,7 +157,7 @@ class LaneState:
     async def _roll_back_if_unknown(self) -> None:
         """Go back to before the last operation, if it is unknown what that has done."""
         if self._outcome_unknown:
-            await self.recover("fault")
+            await self.recover(LaneLoss.FAULT)
             self._outcome_unknown = False
 
     async def _replay(self) -> None:

@@ -79,7 +79,7 @@ export interface Target {
   updated: boolean;
   /** Size relative to the box given. */
   scale: number;
-  /** Response maps as grey PNG, base64 in JSON, where `maps` was asked for. */
+  /** Response maps as gray PNG, base64 in JSON, where `maps` was asked for. */
   maps?: Record<string, Uint8Array<ArrayBuffer>> | null;
 }
 
