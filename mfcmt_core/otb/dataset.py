@@ -129,7 +129,7 @@ class Dataset:
 
 
 @dataclass(frozen=True)
-class Target:
+class OtbTarget:
     """A target of OTB: frame numbers, sets, attributes, frames where TRE does not start."""
 
     name: str
@@ -140,11 +140,11 @@ class Target:
     omit: tuple[tuple[int, int], ...]
 
 
-def otb_targets(subset: str = "OTB-2015") -> list[Target]:
+def otb_targets(subset: str = "OTB-2015") -> list[OtbTarget]:
     """The targets of ``OTB-2015`` (100), ``OTB-2013`` (51) or ``TB-50``."""
     text = resources.files(__package__).joinpath("data/otb100.csv").read_text(encoding="utf-8")
     targets = [
-        Target(
+        OtbTarget(
             row["name"],
             int(row["first"]),
             int(row["last"]),
@@ -169,12 +169,12 @@ def open_otb(root: Path, subset: str = "OTB-2015") -> Dataset:
     return Dataset(subset, found, tuple(t.name for t, place in places.items() if not place), root)
 
 
-def locate_otb(root: Path, subset: str = "OTB-2015") -> dict[Target, Path | None]:
+def locate_otb(root: Path, subset: str = "OTB-2015") -> dict[OtbTarget, Path | None]:
     """The folder or the annotation file of each target, in any of the spellings of doubled ones."""
     if not root.is_dir():
         raise DataError(f"{root}: no such folder")
     entries = {entry.name.lower(): entry for entry in sorted(root.iterdir())}
-    places: dict[Target, Path | None] = {}
+    places: dict[OtbTarget, Path | None] = {}
     for target in otb_targets(subset):
         base, dash, number = target.name.lower().partition("-")
         spellings = [
@@ -186,7 +186,7 @@ def locate_otb(root: Path, subset: str = "OTB-2015") -> dict[Target, Path | None
     return places
 
 
-def _open_target(target: Target, place: Path) -> Sequence:
+def _open_target(target: OtbTarget, place: Path) -> Sequence:
     frames: tuple[Path, ...] = ()
     if place.is_dir():
         if not (place / "img").is_dir() and (place / place.name / "img").is_dir():

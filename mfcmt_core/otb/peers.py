@@ -20,7 +20,7 @@ from ..result import Box
 _cv: Any = cv2  # the type stubs of the plain wheel do not know the contrib trackers
 
 
-class OpenCVTracker:
+class OpenCVPeer:
     """A tracker of OpenCV. Where it reports a miss the previous box stands, since OpenCV gives none then."""
 
     def __init__(self, create: Callable[[], Any]) -> None:
@@ -42,7 +42,7 @@ class OpenCVTracker:
         return self._box
 
 
-class DlibTracker:
+class DlibPeer:
     """dlib's correlation tracker (of the DSST family), with its default parameters, on RGB."""
 
     def __init__(self) -> None:
@@ -97,6 +97,6 @@ class Peer:
             return None if importlib.util.find_spec("dlib") else "dlib"
         return None if hasattr(_cv, _OPENCV[self.peer][0]) else "opencv-contrib-python-headless"
 
-    def make(self) -> OpenCVTracker | DlibTracker:
+    def make(self) -> OpenCVPeer | DlibPeer:
         """A tracker that has not started."""
-        return DlibTracker() if self.peer == "dlib" else OpenCVTracker(_OPENCV[self.peer][1])
+        return DlibPeer() if self.peer == "dlib" else OpenCVPeer(_OPENCV[self.peer][1])

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from mfcmt_core.otb import open_otb, score
-from mfcmt_core.otb.peers import DlibTracker, OpenCVTracker, Peer
+from mfcmt_core.otb.peers import DlibPeer, OpenCVPeer, Peer
 from tests.conftest import ROOT, require
 
 FRAME = np.zeros((48, 64, 3), np.uint8)
@@ -36,7 +36,7 @@ class Scripted:
 
 def test_a_miss_keeps_the_box_before() -> None:
     inner = Scripted([(True, (5, 6, 7, 8)), (False, (0, 0, 0, 0)), (True, (6, 6, 7, 8))])
-    tracker = OpenCVTracker(lambda: inner)
+    tracker = OpenCVPeer(lambda: inner)
     tracker.init(FRAME, (1.4, 2.6, 7.0, 8.0))
     assert inner.begun == (1, 3, 7, 8)
     assert [tracker.update(FRAME) for _ in range(3)] == [(5, 6, 7, 8), (5, 6, 7, 8), (6, 6, 7, 8)]
@@ -45,7 +45,7 @@ def test_a_miss_keeps_the_box_before() -> None:
 def test_a_real_tracker_of_opencv(otb_root: Path) -> None:
     """MIL is the one that every wheel of OpenCV has."""
     crossing = open_otb(otb_root)["Crossing"]
-    tracker = OpenCVTracker(cv2.TrackerMIL_create)  # type: ignore[attr-defined]
+    tracker = OpenCVPeer(cv2.TrackerMIL_create)  # type: ignore[attr-defined]
     tracker.init(crossing.read(0), crossing.boxes[0])
     boxes = [tracker.update(crossing.read(i)) for i in range(1, 12)]
     errors = np.linalg.norm(np.array(boxes)[:, :2] - crossing.boxes[1:12, :2], axis=1)
@@ -55,7 +55,7 @@ def test_a_real_tracker_of_opencv(otb_root: Path) -> None:
 def test_dlib(otb_root: Path) -> None:
     require(importlib.util.find_spec("dlib"), "needs dlib (pip install dlib-bin)")
     crossing = open_otb(otb_root)["Crossing"]
-    tracker = DlibTracker()
+    tracker = DlibPeer()
     tracker.init(crossing.read(0), crossing.boxes[0])
     boxes = [crossing.boxes[0], *(tracker.update(crossing.read(i)) for i in range(1, len(crossing)))]
     assert score(open_otb(otb_root).select(["Crossing"]), {"Crossing": boxes}).precision > 0.9
