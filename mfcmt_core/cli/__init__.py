@@ -38,27 +38,27 @@ def has_screen() -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class Subcommand:
     """A subcommand: a line for the help, and a function that loads its module when it runs."""
 
     summary: str
     load: Callable[[], Command]
 
     @classmethod
-    def of(cls, module: str, summary: str) -> Entry:
+    def of(cls, module: str, summary: str) -> Subcommand:
         """Return the entry of a command in ``module``, named in full."""
         return cls(summary, lambda: cast(Command, importlib.import_module(module)))
 
 
 COMMANDS = {
-    "track": Entry.of("mfcmt_core.cli.track", "follow a box through images, a video or a camera"),
-    "eval": Entry.of("mfcmt_core.cli.evaluate", "score trackers on OTB: OPE, TRE, SRE"),
-    "bench": Entry.of("mfcmt_core.cli.bench", "measure milliseconds per frame and stage, alone or against others"),
-    "warmup": Entry.of("mfcmt_core.cli.warmup", "compile the kernels for this CPU and keep them on disk"),
+    "track": Subcommand.of("mfcmt_core.cli.track", "follow a box through images, a video or a camera"),
+    "eval": Subcommand.of("mfcmt_core.cli.evaluate", "score trackers on OTB: OPE, TRE, SRE"),
+    "bench": Subcommand.of("mfcmt_core.cli.bench", "measure milliseconds per frame and stage, alone or against others"),
+    "warmup": Subcommand.of("mfcmt_core.cli.warmup", "compile the kernels for this CPU and keep them on disk"),
 }
 
 
-def commands() -> dict[str, Entry]:
+def commands() -> dict[str, Subcommand]:
     """Return the library's commands and those that other packages declare, by name."""
     found = dict(COMMANDS)
     for point in entry_points(group=GROUP):

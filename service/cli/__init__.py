@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import cast
 
-from mfcmt_core.cli import Command, Entry, UsageError
+from mfcmt_core.cli import Command, Subcommand, UsageError
 
 REPOSITORY = Path(__file__).parents[2]
 TOOLS = {
@@ -30,9 +30,9 @@ def load_tool(name: str) -> Command:
 
 
 COMMANDS = {
-    "serve": Entry.of("service.cli.serve", "run the tracking service"),
-    "health": Entry.of("service.cli.health", "check a running service on this machine: exit code 0 or 1"),
-    "load": Entry.of("service.cli.load", "drive a service with real frames and measure it"),
-    "demo": Entry.of("service.cli.demo", "start a service and open its page with the sample clip"),
-    **{name: Entry(summary, partial(load_tool, name)) for name, summary in TOOLS.items()},
+    "serve": Subcommand.of("service.cli.serve", "run the tracking service"),
+    "health": Subcommand.of("service.cli.health", "check a running service on this machine: exit code 0 or 1"),
+    "load": Subcommand.of("service.cli.load", "drive a service with real frames and measure it"),
+    "demo": Subcommand.of("service.cli.demo", "start a service and open its page with the sample clip"),
+    **{name: Subcommand(summary, partial(load_tool, name)) for name, summary in TOOLS.items()},
 }
