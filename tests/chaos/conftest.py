@@ -21,11 +21,11 @@ GROW = b"(grow)"
 SITE = f"""
 import sys
 if any("forkserver" in argument for argument in sys.orig_argv):
-    from service.lanes import preload, store
+    from service.lanes import operations, preload
     from mfcmt_core import MFCMT
     import mmap, os, signal, time
     grown = mmap.mmap(-1, 1)  # shared by all lanes
-    handle, update = store.Store.handle, MFCMT.update
+    handle, update = operations.LaneOperations.handle, MFCMT.update
 
     def misbehave(self, op, key, args, data):
         if op in ("create", "track") and data.endswith({POISON!r}):
@@ -35,13 +35,13 @@ if any("forkserver" in argument for argument in sys.orig_argv):
         if op == "track" and data.endswith({GROW!r}):
             if not grown[0]:
                 grown[0] = 1
-                store.held = b"grow" * (120 << 20)
+                operations.held = b"grow" * (120 << 20)
         reply = handle(self, op, key, args, data)
         if op == "track" and data.endswith({FAULT!r}):
             raise RuntimeError("a fault, when the work was done")
         return reply
 
-    store.Store.handle = misbehave
+    operations.LaneOperations.handle = misbehave
 """
 
 
