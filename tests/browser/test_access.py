@@ -38,7 +38,7 @@ async def violations(user: Tracker) -> list[str]:
     return [f"{v['id']}: {v['help']} {[n['target'] for n in v['nodes']]}" for v in found.response["violations"]]
 
 
-async def test_by_keys_alone(open_page: Open) -> None:
+async def test_the_page_works_with_the_keyboard_alone(open_page: Open) -> None:
     async with open_page() as user:
         keys = user.page.keyboard
 
@@ -86,7 +86,7 @@ async def test_by_keys_alone(open_page: Open) -> None:
         await user.frames(5)
 
 
-async def test_on_a_phone(open_page: Open, artefacts: Path) -> None:
+async def test_the_page_works_on_a_phone(open_page: Open, artefacts: Path) -> None:
     """Touch draws the box; regions are sent; nothing is wider than the screen; controls fit a finger."""
     async with open_page(color_scheme="dark", **PHONE) as user:
         await user.page.screenshot(path=artefacts / "phone-empty.png")
@@ -117,7 +117,7 @@ async def test_on_a_phone(open_page: Open, artefacts: Path) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-async def test_axe_finds_nothing(open_page: Open, artefacts: Path, scheme: str) -> None:
+async def test_axe_finds_no_fault(open_page: Open, artefacts: Path, scheme: str) -> None:
     async with open_page(color_scheme=scheme) as user:
         assert await violations(user) == []
         await user.page.screenshot(path=artefacts / f"empty-{scheme}.png")
@@ -140,7 +140,7 @@ async def test_axe_finds_nothing(open_page: Open, artefacts: Path, scheme: str) 
         assert await violations(user) == []
 
 
-async def test_can_be_installed(open_page: Open) -> None:
+async def test_the_page_can_be_installed(open_page: Open) -> None:
     """Chromium finds nothing missing in manifest and icons."""
     async with open_page() as user:
         session = await user.page.context.new_cdp_session(user.page)

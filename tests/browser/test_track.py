@@ -48,7 +48,7 @@ def shown(png: bytes, frames: list[bytes]) -> int:
 
 
 @pytest.mark.parametrize("regions", [False, True])
-async def test_tracks_the_camera_as_in_process(
+async def test_boxes_on_a_camera_equal_those_of_the_library(
     open_page: Open, server: OwnServer, camera_frames: list[bytes], artefacts: Path, regions: bool
 ) -> None:
     """Hundreds of frames of a real sequence: the boxes are those of the tracker in this process on the same bytes."""
@@ -98,7 +98,7 @@ async def test_tracks_the_camera_as_in_process(
         assert np.mean(near) > 0.5, near
 
 
-async def test_sample_clip_with_several_targets(open_page: Open, artefacts: Path) -> None:
+async def test_targets_of_the_sample_clip_are_added_corrected_and_removed(open_page: Open, artefacts: Path) -> None:
     """Drawn, added, corrected, chosen, removed; the balloon's path is the true one."""
     async with open_page() as user:
         await user.choose("sample")
@@ -133,7 +133,7 @@ async def test_sample_clip_with_several_targets(open_page: Open, artefacts: Path
         assert await user.status(2) is None
 
 
-async def test_lossless_goes_through_every_frame(open_page: Open) -> None:
+async def test_lossless_answers_every_frame_of_a_file(open_page: Open) -> None:
     async with open_page() as user:
         await user.set("mode", "lossless")
         await user.follow_sample(45)
@@ -145,7 +145,7 @@ async def test_lossless_goes_through_every_frame(open_page: Open) -> None:
         assert await user.page.inner_text("#stat-dropped") == "0"
 
 
-async def test_step_moves_by_one_frame(open_page: Open) -> None:
+async def test_a_step_goes_on_by_one_frame(open_page: Open) -> None:
     async with open_page() as user:
         await user.follow_sample(5)
         await user.page.click("#play")
@@ -157,7 +157,7 @@ async def test_step_moves_by_one_frame(open_page: Open) -> None:
         assert after[-1]["time_s"] - before[-1]["time_s"] == pytest.approx(0.1, abs=0.036)
 
 
-async def test_a_video_file_to_its_end(open_page: Open, camera_frames: list[bytes], tmp_path: Path) -> None:
+async def test_a_video_file_is_tracked_to_its_end(open_page: Open, camera_frames: list[bytes], tmp_path: Path) -> None:
     film = tmp_path / "david.webm"
     writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"VP80"), 25.0, (320, 240))
     for data in camera_frames[:50]:
@@ -180,7 +180,7 @@ async def test_a_video_file_to_its_end(open_page: Open, camera_frames: list[byte
         await user.until("document.documentElement.dataset.state === 'open'")
 
 
-async def test_a_file_that_is_no_video(open_page: Open, tmp_path: Path) -> None:
+async def test_a_file_that_is_no_video_is_refused(open_page: Open, tmp_path: Path) -> None:
     wrong = tmp_path / "film.mp4"
     wrong.write_bytes(b"not a film" * 100)
     async with open_page() as user:
@@ -189,7 +189,7 @@ async def test_a_file_that_is_no_video(open_page: Open, tmp_path: Path) -> None:
         assert "cannot be played here" in await user.notice()
 
 
-async def test_an_annotated_recording(open_page: Open) -> None:
+async def test_a_recording_shows_the_boxes(open_page: Open) -> None:
     async with open_page() as user:
         await user.follow_sample(3)
         await user.page.click("#record")
@@ -209,7 +209,7 @@ async def test_an_annotated_recording(open_page: Open) -> None:
         assert max(seen) > 100, seen
 
 
-async def test_response_maps_only_where_wanted(open_page: Open, server: OwnServer) -> None:
+async def test_response_maps_are_sent_only_if_wanted(open_page: Open, server: OwnServer) -> None:
     async with Tap(server.port) as tap, open_page(tap.url) as user:
         await user.follow_sample(5)
         assert await user.page.locator("#maps figure").count() == len(MAPS)

@@ -19,7 +19,7 @@ KEY = "a-key-that-is-long-enough"
 STARTED = "document.documentElement.dataset.state === 'tracking'"
 
 
-async def test_a_lost_connection_is_taken_up_again(open_page: Open, server: OwnServer) -> None:
+async def test_a_lost_connection_is_restored(open_page: Open, server: OwnServer) -> None:
     async with Tap(server.port) as tap, open_page(tap.url) as user:
         user.expected.append("WebSocket connection")
         await user.follow_sample(10)
@@ -38,7 +38,7 @@ async def test_a_lost_connection_is_taken_up_again(open_page: Open, server: OwnS
         assert [f["frame"] for f in frames] == sorted({f["frame"] for f in frames})
 
 
-async def test_says_so_while_the_server_is_away(open_page: Open, own_server: Callable[..., OwnServer]) -> None:
+async def test_the_page_says_that_the_server_is_away(open_page: Open, own_server: Callable[..., OwnServer]) -> None:
     server = own_server(drain_grace_s=0)
     async with open_page(server.url) as user:
         user.expected += ["WebSocket connection", "ERR_CONNECTION_REFUSED", "Failed to load resource"]
@@ -54,7 +54,7 @@ async def test_says_so_while_the_server_is_away(open_page: Open, own_server: Cal
         await user.frames(5)
 
 
-async def test_a_camera_that_is_refused(open_page: Open) -> None:
+async def test_a_refused_camera_is_explained(open_page: Open) -> None:
     async with launched(["--use-fake-device-for-media-stream"]) as browser, open_page(browser=browser) as user:
         await user.page.click("#choose-camera")
         await user.until("!document.getElementById('notice').hidden")
@@ -63,14 +63,14 @@ async def test_a_camera_that_is_refused(open_page: Open) -> None:
         assert await user.page.is_visible("#welcome")
 
 
-async def test_no_camera(open_page: Open) -> None:
+async def test_a_missing_camera_is_explained(open_page: Open) -> None:
     async with launched(["--use-fake-ui-for-media-stream"]) as browser, open_page(browser=browser) as user:
         await user.page.click("#choose-camera")
         await user.until("!document.getElementById('notice').hidden")
         assert "No camera was found" in await user.notice()
 
 
-async def test_a_full_server(open_page: Open, own_server: Callable[..., OwnServer], clip: Clip) -> None:
+async def test_a_full_server_is_explained(open_page: Open, own_server: Callable[..., OwnServer], clip: Clip) -> None:
     server = own_server(max_sessions_per_lane=1)
     async with AsyncClient(server.url) as client:
         other = await client.create(clip.frames[0], clip.box)
@@ -102,7 +102,7 @@ async def test_a_key_is_asked_for(open_page: Open, own_server: Callable[..., Own
         assert not any(KEY in url for url in user.asked)
 
 
-async def test_an_expired_session(open_page: Open, own_server: Callable[..., OwnServer]) -> None:
+async def test_an_expired_session_goes_on_with_one_click(open_page: Open, own_server: Callable[..., OwnServer]) -> None:
     server = own_server(attached_idle_timeout_s=1)
     async with open_page(server.url) as user:
         await user.follow_sample(5)
@@ -116,7 +116,7 @@ async def test_an_expired_session(open_page: Open, own_server: Callable[..., Own
         assert await user.frames(5) > before  # the export goes on where it was
 
 
-async def test_no_room_for_another_target(open_page: Open, own_server: Callable[..., OwnServer]) -> None:
+async def test_one_target_too_many_is_explained(open_page: Open, own_server: Callable[..., OwnServer]) -> None:
     server = own_server(max_targets_per_session=1)
     async with open_page(server.url) as user:
         await user.follow_sample(5)
@@ -128,7 +128,7 @@ async def test_no_room_for_another_target(open_page: Open, own_server: Callable[
         assert await user.status(1) in ("tracking", "uncertain")
 
 
-async def test_leaving_gives_the_place_back(open_page: Open, own_server: Callable[..., OwnServer]) -> None:
+async def test_a_closed_page_releases_its_place(open_page: Open, own_server: Callable[..., OwnServer]) -> None:
     server = own_server()
     async with open_page(server.url) as user:
         await user.follow_sample(3)

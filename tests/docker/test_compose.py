@@ -67,7 +67,7 @@ def test_the_file_is_valid_by_the_published_schema() -> None:
     assert tool("check-jsonschema", "--builtin-schema", "vendor.compose-spec", COMPOSE)[0] == 0
 
 
-def test_the_real_program_takes_the_file(program: str) -> None:
+def test_docker_compose_accepts_the_file(program: str) -> None:
     assert set(understood(program, **KEYS)["services"]) == {"mfcmt", "prometheus", "grafana"}
     assert set(understood(program, "--profile", "https", **KEYS)["services"]) == {
         "mfcmt",
@@ -77,7 +77,7 @@ def test_the_real_program_takes_the_file(program: str) -> None:
     }
 
 
-def test_without_its_keys_it_says_which_one_and_how_to_make_it(program: str) -> None:
+def test_a_missing_key_is_named_with_the_script_that_makes_it(program: str) -> None:
     for name in KEYS:
         some = {one: key for one, key in KEYS.items() if one != name}
         command = [program, "-f", COMPOSE, "--env-file", "/dev/null", "config", "--quiet"]
@@ -92,7 +92,7 @@ def test_nothing_is_refused_when_the_containers_are_made() -> None:
     assert refused_at_the_start(yaml.safe_load(COMPOSE.read_text())) == []
 
 
-def test_a_secret_of_the_environment_in_a_sealed_container_is_seen() -> None:
+def test_a_secret_in_the_environment_of_a_sealed_container_is_detected() -> None:
     compose = yaml.safe_load(COMPOSE.read_text())
     compose["secrets"]["admin_key"] = {"environment": "MFCMT_ADMIN_KEY"}
     assert len(refused_at_the_start(compose)) == 1
@@ -113,7 +113,7 @@ def test_every_setting_reaches_the_service(program: str) -> None:
     assert service["build"]["args"]["VERSION"] == "7.8.9"
 
 
-def test_what_is_not_set_is_left_to_the_service(program: str) -> None:
+def test_unset_variables_leave_the_service_its_defaults(program: str) -> None:
     inside = understood(program, **KEYS)["services"]["mfcmt"]["environment"]
     told = {name for name, value in inside.items() if value is not None and name.startswith("MFCMT_")}
     assert told == {"MFCMT_API_KEYS", "MFCMT_ADMIN_KEY", "MFCMT_MAX_LANE_RSS_BYTES"}
@@ -126,7 +126,7 @@ def test_the_list_of_variables_is_that_of_the_settings() -> None:
     assert set(Settings.model_fields) >= NOT_PASSED_ON
 
 
-def test_the_example_of_the_variables_names_what_there_is(program: str) -> None:
+def test_the_example_file_names_existing_variables(program: str) -> None:
     lines = re.findall(r"^(?:# )?([A-Z_]+)=(.*)$", (DOCKER / ".env.example").read_text(), re.M)
     read = set(re.findall(r"\$\{([A-Z_]+)", COMPOSE.read_text()))
     settings = {f"MFCMT_{name.upper()}" for name in Settings.model_fields}
@@ -148,7 +148,7 @@ def test_the_example_of_the_variables_names_what_there_is(program: str) -> None:
     )
 
 
-def test_the_script_makes_keys_that_the_service_takes_and_keeps_what_is_there(tmp_path: Path, program: str) -> None:
+def test_the_script_makes_valid_keys_and_keeps_existing_ones(tmp_path: Path, program: str) -> None:
     for name in ("env.sh", ".env.example", "compose.yaml"):
         (tmp_path / name).write_bytes((DOCKER / name).read_bytes())
     told = []
@@ -166,7 +166,7 @@ def test_the_script_makes_keys_that_the_service_takes_and_keeps_what_is_there(tm
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_a_proxy_in_dockers_networks_is_believed_and_nobody_else(program: str) -> None:
+def test_only_a_proxy_in_docker_s_networks_is_trusted(program: str) -> None:
     inside = understood(program, **KEYS)["services"]["mfcmt"]["environment"]
     believed = _TrustedHosts(inside["FORWARDED_ALLOW_IPS"])
     assert all(address in believed for address in ("127.0.0.1", "172.18.0.3", "192.168.16.1", "10.88.0.1"))
@@ -178,7 +178,7 @@ def test_keys_are_never_committed() -> None:
     assert {"/docker/.env", "/docker/admin-key"} <= set(ignored)
 
 
-def test_what_is_mounted_is_there_and_containers_are_sealed() -> None:
+def test_mounted_files_exist_and_containers_are_sealed() -> None:
     compose = yaml.safe_load(COMPOSE.read_text())
     for service in compose["services"].values():
         assert service["read_only"]

@@ -60,7 +60,7 @@ def test_the_dockerfile_passes_its_lint() -> None:
     assert (done.returncode, done.stdout) == (0, "")
 
 
-def test_what_is_copied_is_not_ignored_and_nothing_else_is_sent() -> None:
+def test_the_build_context_has_exactly_the_copied_files() -> None:
     copied = re.findall(r"^COPY (?!--from)(.+) \S+$", DOCKERFILE.read_text(), re.M)
     sources = {source for line in copied for source in line.split()}
     ignore = (ROOT / ".dockerignore").read_text().splitlines()
@@ -68,7 +68,7 @@ def test_what_is_copied_is_not_ignored_and_nothing_else_is_sent() -> None:
     assert "*" in ignore
 
 
-def test_the_image_is_an_ordinary_users_and_stops_by_a_drain() -> None:
+def test_the_image_runs_as_an_ordinary_user_and_drains_on_stop() -> None:
     image = try_image.read_dockerfile()
     assert image.uid >= 1000
     assert image.command == ["mfcmt", "serve"]
@@ -84,7 +84,7 @@ def labels(dockerfile: str) -> dict[str, str]:
     return dict(re.findall(r'(org\.opencontainers\.image\.\w+)="([^"]*)"', dockerfile))
 
 
-def test_the_image_tells_its_version_revision_and_licence() -> None:
+def test_the_image_has_labels_for_version_revision_and_licence() -> None:
     text = DOCKERFILE.read_text()
     told = labels(text)
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -169,7 +169,7 @@ def listing(folder: Path) -> dict[str, tuple[int, int]]:
 
 
 @pytest.mark.docker
-def test_kernels_are_there_for_both_cpus_and_nothing_is_compiled_or_warned_of(container) -> None:
+def test_kernels_for_both_cpus_are_used_without_compiling_or_warnings(container) -> None:
     before = listing(container.opt)
     for cpu in (container.image.env["NUMBA_CPU_NAME"], try_image.OTHER_CPU):
         done = container.run(["mfcmt", "warmup"], NUMBA_CPU_NAME=cpu)
@@ -184,7 +184,7 @@ def test_kernels_are_there_for_both_cpus_and_nothing_is_compiled_or_warned_of(co
 
 
 @pytest.mark.docker
-def test_for_a_cpu_that_was_not_thought_of_kernels_are_compiled_in_memory(container) -> None:
+def test_kernels_for_another_cpu_are_compiled_in_memory(container) -> None:
     before = listing(container.opt)
     done = container.run(["python", "-c", ONE_KERNEL], NUMBA_CPU_NAME="nehalem")
     assert (done.returncode, done.stdout, done.stderr) == (0, "1 0\n", "")
@@ -201,7 +201,7 @@ def test_another_source_time_changes_nothing(container) -> None:
 
 
 @pytest.mark.docker
-def test_a_cache_folder_that_can_only_be_read_is_read(container) -> None:
+def test_a_read_only_cache_folder_is_used(container) -> None:
     folder = container.opt.parent / "cache"
     warm = [container.opt / "bin/mfcmt", "warmup"]
     subprocess.run(warm, env=container.env(NUMBA_CACHE_DIR=str(folder), TMPDIR="/tmp"), check=True)
@@ -213,7 +213,7 @@ def test_a_cache_folder_that_can_only_be_read_is_read(container) -> None:
 
 
 @pytest.mark.docker
-def test_it_serves_from_a_tree_that_it_cannot_write(container) -> None:
+def test_the_service_runs_from_a_read_only_tree(container) -> None:
     before = listing(container.opt)
     with container.serving() as served:
         port = served.url.rpartition(":")[2]

@@ -70,7 +70,7 @@ def test_the_kustomizations_name_every_manifest() -> None:
         assert {*listed} - {"../kubernetes"} == {path.name for path in folder.glob("*.yaml")} - NO_MANIFESTS
 
 
-def test_kubectl_makes_all_of_it_with_the_version_as_tag() -> None:
+def test_kubectl_builds_everything_with_the_version_as_tag() -> None:
     require(shutil.which("kubectl"), "no kubectl (Debian: kubernetes-client)")
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     kinds = {}
@@ -106,7 +106,7 @@ def test_selectors_ports_and_the_metric_agree() -> None:
     assert made == asked
 
 
-def test_prometheus_shows_the_key_that_the_pods_want_for_their_metrics() -> None:
+def test_prometheus_sends_the_key_that_the_pods_require() -> None:
     stateful, monitor = of_kind("StatefulSet"), of_kind("PodMonitor")["spec"]
     pod = stateful["spec"]["template"]
     [container] = pod["spec"]["containers"]
@@ -137,7 +137,7 @@ def test_the_pod_is_as_sealed_as_the_image_allows_and_has_time_to_drain() -> Non
     assert pod["terminationGracePeriodSeconds"] > before + Settings().drain_grace_s + 10
 
 
-def test_what_is_set_are_settings() -> None:
+def test_every_variable_is_a_setting() -> None:
     told = "".join(path.read_text() for path in DOCKER.rglob("*") if path.is_file() and ".py" not in path.suffix)
     known = {f"MFCMT_{name.upper()}" for name in Settings.model_fields} | {"MFCMT_VERSION"}
     assert set(re.findall(r"MFCMT_[A-Z_]+", told)) <= known

@@ -128,7 +128,7 @@ def wait(condition: Any, process: subprocess.Popen[bytes], log: Path) -> None:
         time.sleep(0.1)
 
 
-def test_rules_and_configuration_are_valid_and_do_what_they_say() -> None:
+def test_rules_and_configuration_are_valid_and_pass_their_tests() -> None:
     require(shutil.which("promtool"), "no promtool (Debian: prometheus)")
     for check in (
         ["check", "rules", "alerts.yml"],
@@ -144,7 +144,7 @@ def test_every_alert_is_explained_in_the_guide() -> None:
     assert [rule["alert"] for rule in alerts() if f"`{rule['alert']}`" not in guide] == []
 
 
-def test_every_name_is_one_that_the_service_tells(watched: Watched) -> None:
+def test_every_metric_name_is_one_of_the_service(watched: Watched) -> None:
     text = httpx2.get(f"{watched.server.url}/metrics", headers={"Authorization": f"Bearer {ADMIN}"}).text
     told = {re.split(r"[{ ]", line)[0] for line in text.splitlines() if not line.startswith("#")}
     asked = set()
@@ -170,7 +170,7 @@ def test_every_panel_shows_something(watched: Watched) -> None:
     assert [title for title, expression in queries() if not watched.ask(expression)] == []
 
 
-def test_what_the_autoscaler_asks_for_is_the_share_of_places_that_are_taken(watched: Watched) -> None:
+def test_the_autoscaler_uses_the_fraction_of_occupied_places(watched: Watched) -> None:
     [part] = watched.ask("mfcmt_sessions_active / mfcmt_sessions_capacity")
     for rule in adapter_rules():
         query = rule["metricsQuery"].replace("<<.LabelMatchers>>", 'job="mfcmt"').replace("<<.GroupBy>>", "job")
@@ -178,7 +178,7 @@ def test_what_the_autoscaler_asks_for_is_the_share_of_places_that_are_taken(watc
         assert float(told["value"][1]) == pytest.approx(float(part["value"][1]), abs=0.2)
 
 
-def test_nothing_fires_while_all_is_well_and_the_rules_can_be_evaluated(watched: Watched) -> None:
+def test_no_alert_fires_on_a_healthy_service(watched: Watched) -> None:
     rules = httpx2.get(f"{watched.prometheus}/api/v1/rules", timeout=30).json()["data"]["groups"][0]["rules"]
     assert len(rules) == len(alerts())
     assert [rule["name"] for rule in rules if rule["health"] == "err"] == []

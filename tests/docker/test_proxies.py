@@ -172,7 +172,7 @@ def clip() -> Clip:
     return open_clip(david, None, 40) if david.is_dir() else sample(40)
 
 
-def test_http_and_stream_give_what_they_give_without_it(proxy: Proxy, clip: Clip) -> None:
+def test_calls_and_streams_give_the_same_results_through_a_proxy(proxy: Proxy, clip: Clip) -> None:
     told = []
     for url in (proxy.server.url, proxy.url):
         with Client(url, key=KEY) as client:
@@ -186,7 +186,7 @@ def test_http_and_stream_give_what_they_give_without_it(proxy: Proxy, clip: Clip
     assert len(told[1]) == len(clip.frames) - 1
 
 
-async def test_a_quiet_stream_is_kept_open_by_pings(proxy: Proxy, clip: Clip) -> None:
+async def test_pings_keep_a_quiet_stream_open(proxy: Proxy, clip: Clip) -> None:
     # the example's 75 s are 2 s here, the server's pings come every half second, the client sends none
     async with AsyncClient(proxy.url, key=KEY, ping_interval_s=60) as client:
         session = await client.create(clip.frames[0], box=clip.box)
@@ -203,7 +203,7 @@ async def test_a_quiet_stream_is_kept_open_by_pings(proxy: Proxy, clip: Clip) ->
         await session.close()
 
 
-def test_large_frames_pass_and_too_large_ones_are_told_by_the_service(proxy: Proxy, clip: Clip) -> None:
+def test_large_frames_pass_and_the_service_refuses_larger_ones(proxy: Proxy, clip: Clip) -> None:
     with httpx2.Client(base_url=proxy.url, verify=context(), headers={"X-API-Key": KEY}, timeout=30) as http:
         made = http.post("/v1/sessions", files={"frame": clip.frames[0]}, data={"box": ",".join(map(str, clip.box))})
         assert made.status_code == 201, made.text
@@ -216,14 +216,14 @@ def test_large_frames_pass_and_too_large_ones_are_told_by_the_service(proxy: Pro
         assert (above.status_code, above.json()["code"]) == (413, "frame-too-large")
 
 
-def test_metrics_stay_inside(proxy: Proxy) -> None:
+def test_metrics_are_not_reachable_from_outside(proxy: Proxy) -> None:
     with httpx2.Client(base_url=proxy.url, verify=context()) as http:
         assert http.get("/livez").status_code == 200
         assert http.get("/metrics").status_code == 404
 
 
 @PROXIES
-async def test_a_backend_with_a_hundred_streams_passes(
+async def test_a_hundred_streams_pass(
     make: Callable[..., Started], certificate: tuple[Path, Path], behind: OwnServer, clip: Clip
 ) -> None:
     with running(make, certificate, behind.port) as url:
@@ -251,7 +251,7 @@ async def test_a_backend_with_a_hundred_streams_passes(
 
 
 @PROXIES
-def test_a_service_that_is_away_is_told_as_a_problem(
+def test_a_missing_service_is_answered_with_a_problem(
     make: Callable[..., Started], certificate: tuple[Path, Path]
 ) -> None:
     with running(make, certificate, free_port()) as url, httpx2.Client(base_url=url, verify=context()) as client:
@@ -260,7 +260,9 @@ def test_a_service_that_is_away_is_told_as_a_problem(
     assert answer.headers["retry-after"] == "1"
 
 
-def test_too_many_calls_of_one_address_are_told_as_a_problem(certificate: tuple[Path, Path], behind: OwnServer) -> None:
+def test_too_many_calls_of_one_address_are_answered_with_a_problem(
+    certificate: tuple[Path, Path], behind: OwnServer
+) -> None:
     tight = {"rate=50r/s": "rate=1r/m", "burst=500 nodelay": "burst=2 nodelay"}
     with (
         running(nginx, certificate, behind.port, **tight) as url,
@@ -274,7 +276,9 @@ def test_too_many_calls_of_one_address_are_told_as_a_problem(certificate: tuple[
         assert client.get("/v1/sessions", headers={"X-API-Key": KEY}).status_code == 200
 
 
-def test_a_body_above_nginxs_limit_is_told_as_a_problem(certificate: tuple[Path, Path], behind: OwnServer) -> None:
+def test_a_body_above_nginx_s_limit_is_answered_with_a_problem(
+    certificate: tuple[Path, Path], behind: OwnServer
+) -> None:
     with running(nginx, certificate, behind.port) as url:
         call = http.client.HTTPSConnection(url.removeprefix("https://"), timeout=30, context=context(certificate[0]))
         call.request("POST", "/v1/sessions", headers={"Content-Length": "70000000", "X-API-Key": KEY})

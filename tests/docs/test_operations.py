@@ -16,7 +16,7 @@ TEXT = GUIDE.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_tables_are_those_of_the_code(name: str) -> None:
+def test_generated_tables_are_fresh(name: str) -> None:
     found = block(name).search(TEXT)
     assert found is not None
     assert found[2] == TABLES[name](), "make guide writes it anew"
@@ -49,7 +49,7 @@ def test_every_problem_that_an_operator_causes_is_explained() -> None:
         assert f"`{code}`" in TEXT
 
 
-def test_files_that_are_named_exist() -> None:
+def test_every_file_that_the_guide_names_exists() -> None:
     made_here = {line.removeprefix("/") for line in (ROOT / ".gitignore").read_text().splitlines()}
     for path in re.findall(r"`((?:docker|docs|tests)/[\w./-]+)`", TEXT):
         assert path in made_here or (ROOT / path).exists(), path

@@ -63,7 +63,7 @@ def film(clip: Clip, tmp_path: Path) -> Path:
     return path
 
 
-def test_curl(own_server: Serve, clip: Clip, files: list[str]) -> None:
+def test_the_curl_example_gives_the_library_s_boxes(own_server: Serve, clip: Clip, files: list[str]) -> None:
     require(shutil.which("curl"), "no curl")
     server = own_server(api_keys=KEY)
     call = ["sh", "track.sh", str(Path(files[0]).parent), comma(clip.box)]
@@ -103,7 +103,7 @@ def rows(text: str) -> list[tuple[int, int, list[float], str]]:
     return [(int(p[0]), int(p[1]), [float(v) for v in p[2:6]], p[6]) for p in parts]
 
 
-def test_python_with_a_file_and_several_targets(server: OwnServer, clip: Clip, film: Path) -> None:
+def test_the_python_example_tracks_several_targets_in_a_file(server: OwnServer, clip: Clip, film: Path) -> None:
     x, y, w, h = clip.box
     boxes = [comma(clip.box), comma((x + w / 4, y + h / 4, w / 2, h / 2))]
     told = rows(output([sys.executable, "track_video.py", str(film), *boxes], SERVICE=server.url))
@@ -116,7 +116,7 @@ def test_python_with_a_file_and_several_targets(server: OwnServer, clip: Clip, f
     assert "no frame" in failed.stderr
 
 
-def test_python_with_a_live_stream(server: OwnServer, clip: Clip) -> None:
+def test_the_python_example_tracks_a_live_stream(server: OwnServer, clip: Clip) -> None:
     """RTSP, two targets: the newest frame wins, numbers rise, and what is found is where it is."""
     width, height = (side - side % 8 for side in clip.size)
     images = [decode(frame, LIMITS)[0][:height, :width] for frame in clip.frames]
@@ -136,7 +136,9 @@ def test_python_with_a_live_stream(server: OwnServer, clip: Clip) -> None:
     assert sum(near) / len(near) > 0.8
 
 
-def test_node(own_server: Serve, node: str, clip: Clip, files: list[str], tmp_path: Path) -> None:
+def test_the_node_example_gives_the_library_s_boxes(
+    own_server: Serve, node: str, clip: Clip, files: list[str], tmp_path: Path
+) -> None:
     """As somebody runs it who has installed the package and `ws`."""
     server = own_server(api_keys=KEY)
     modules = tmp_path / "app" / "node_modules"
@@ -151,7 +153,7 @@ def test_node(own_server: Serve, node: str, clip: Clip, files: list[str], tmp_pa
     assert refused.stderr.startswith("unauthenticated")
 
 
-def test_node_below_the_least_version_is_one_line(node: str, tmp_path: Path) -> None:
+def test_an_old_node_is_refused_in_one_line(node: str, tmp_path: Path) -> None:
     """The version is feigned; the check comes before anything is loaded that an old Node does not know."""
     old = tmp_path / "old.cjs"
     old.write_text('Object.defineProperty(process.versions, "node", { value: "18.20.0" });')
@@ -171,7 +173,7 @@ def test_node_without_the_package_says_what_to_install(node: str, tmp_path: Path
     assert (usage.returncode, usage.stderr) == (1, "node track.mjs x,y,w,h FRAME FRAME...\n")
 
 
-async def test_page(clip: Clip, tmp_path: Path) -> None:
+async def test_the_example_page_tracks_a_camera(clip: Clip, tmp_path: Path) -> None:
     """A box drawn by mouse over a camera, then put right by drawing again."""
     path = chromium()
     playwright: Any = pytest.importorskip("playwright.async_api")
@@ -219,6 +221,6 @@ async def test_page(clip: Clip, tmp_path: Path) -> None:
                 await browser.close()
 
 
-def test_all_of_them_are_here() -> None:
+def test_the_readme_names_all_examples() -> None:
     named = set(re.findall(r"\]\((track[^)]*)\)", (EXAMPLES / "README.md").read_text()))
     assert named == {path.name for path in EXAMPLES.iterdir()} - {"README.md", "frames"}

@@ -155,7 +155,7 @@ def test_swift_reads_what_the_server_says() -> None:
 
 
 @pytest.mark.parametrize("language", ["kotlin", "swift"])
-def test_says_what_the_server_reads(language: str) -> None:
+def test_swift_sends_fields_that_the_server_reads(language: str) -> None:
     code = block(language)
     meta, create = set(field_names(requests.Meta)) | {"type"}, CREATE
     if language == "swift":
@@ -175,7 +175,7 @@ def test_says_what_the_server_reads(language: str) -> None:
 
 
 @pytest.mark.parametrize("language", ["kotlin", "swift"])
-def test_goes_where_the_server_listens(language: str) -> None:
+def test_swift_calls_paths_that_the_server_has(language: str) -> None:
     code = block(language)
     document = create_app(Settings()).openapi()
     there = {*document["paths"], "/v1/sessions/{session_id}/stream"}

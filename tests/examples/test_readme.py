@@ -121,7 +121,7 @@ async def test_the_page_snippet_works_as_pasted(server: OwnServer) -> None:
     assert status in ("tracking", "uncertain", "lost")
 
 
-def test_the_javascript_client_is_installed_from_a_path_as_told(server: OwnServer, node: str, tmp_path: Path) -> None:
+def test_the_javascript_client_installs_from_a_path(server: OwnServer, node: str, tmp_path: Path) -> None:
     """In an empty folder, and then the example runs in it."""
     npm = shutil.which("npm")
     require(npm, "no npm")
@@ -140,7 +140,7 @@ def test_the_javascript_client_is_installed_from_a_path_as_told(server: OwnServe
     assert len(done.stdout.splitlines()) == len(files) - 1
 
 
-def test_both_readmes_install_the_clients_alike() -> None:
+def test_both_readmes_install_the_clients_in_the_same_way() -> None:
     told = block("sh", "pip install")
     lines = [line.partition("#")[0].strip() for line in told.splitlines()]
     here = block("sh", "pip install", EXAMPLES_README)
@@ -156,7 +156,7 @@ def client_needs() -> list[str]:
     return [re.split(r"[<>=]", need)[0] for need in project["optional-dependencies"]["client"]]
 
 
-def test_the_frames_are_those_that_the_command_renders() -> None:
+def test_the_frames_are_those_that_their_script_renders() -> None:
     spec = importlib.util.spec_from_file_location("example_frames", ROOT / ".ci" / "example_frames.py")
     assert spec is not None
     assert spec.loader is not None

@@ -38,7 +38,7 @@ def test_every_dependency_is_pinned_and_hashed(path: object) -> None:
         assert hashes, f"{requirement.name} has no hash"
 
 
-def test_the_project_asks_for_nothing_that_is_not_locked() -> None:
+def test_every_dependency_of_the_project_is_locked() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     locked: dict[str, list[Requirement]] = {}
     for requirement, _ in entries(DEVELOPMENT.read_text()):
@@ -53,7 +53,7 @@ def test_the_project_asks_for_nothing_that_is_not_locked() -> None:
         assert all(requirement.specifier.contains(version, prereleases=True) for version in versions), text
 
 
-def test_serving_needs_a_part_of_what_development_has() -> None:
+def test_the_packages_for_serving_are_a_subset_of_those_for_development() -> None:
     """`make serve` installs no tools of the tests, and the tests run with the very packages that serve."""
     serving, development = (
         {str(requirement): hashes for requirement, hashes in entries(path.read_text())}
@@ -69,7 +69,7 @@ def test_serving_needs_a_part_of_what_development_has() -> None:
     assert {canonicalize_name(Requirement(text).name) for text in needed} - {"mfcmt"} <= names
 
 
-def test_what_is_installed_is_what_is_locked() -> None:
+def test_installed_packages_are_the_locked_ones() -> None:
     for requirement, _ in entries(DEVELOPMENT.read_text()):
         if requirement.marker is None or requirement.marker.evaluate():
             try:
@@ -79,6 +79,6 @@ def test_what_is_installed_is_what_is_locked() -> None:
             assert requirement.specifier.contains(installed, prereleases=True), f"{requirement} is {installed} here"
 
 
-def test_what_is_installed_fits_together() -> None:
+def test_installed_packages_are_compatible() -> None:
     run = subprocess.run([sys.executable, "-m", "pip", "check"], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stdout

@@ -40,7 +40,7 @@ def stranger(tmp_path: Path) -> dict[str, str]:
     return os.environ | {"PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}"}
 
 
-def test_without_venv_an_ordinary_user_is_told_what_root_installs(stranger: dict[str, str], tmp_path: Path) -> None:
+def test_without_venv_the_message_names_the_package_to_install(stranger: dict[str, str], tmp_path: Path) -> None:
     call = ["sh", ".ci/venv", "python3", str(tmp_path / "venv")]
     done = subprocess.run(call, cwd=ROOT, env=stranger, capture_output=True, text=True, check=False)
     assert done.returncode == 1
@@ -49,14 +49,14 @@ def test_without_venv_an_ordinary_user_is_told_what_root_installs(stranger: dict
     assert not (tmp_path / "venv").exists()
 
 
-def test_without_python_the_message_says_how_to_name_one(tmp_path: Path) -> None:
+def test_without_python_the_message_says_how_to_choose_one(tmp_path: Path) -> None:
     call = ["sh", ".ci/venv", "no-such-python", str(tmp_path / "venv")]
     done = subprocess.run(call, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert "make PYTHON=" in done.stderr
 
 
-def test_pip_is_counted_and_heard_only_when_it_fails(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_pip_s_output_is_shown_only_if_it_fails(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     with_count = runpy.run_path(str(INSTALL))["with_count"]
     pip = tmp_path / "pip.py"
     lines = "".join(f'print("Collecting p{n}==1.0")\n' for n in range(25))
@@ -71,7 +71,7 @@ def test_pip_is_counted_and_heard_only_when_it_fails(tmp_path: Path, capfd: pyte
     assert "no such thing" in capfd.readouterr().err
 
 
-def test_scripts_are_clean() -> None:
+def test_scripts_pass_shellcheck() -> None:
     shellcheck = shutil.which("shellcheck")
     require(shellcheck, "no shellcheck")
     scripts = [path for path in (ROOT / ".ci").iterdir() if re.match(rb"#!.*sh\n", path.read_bytes())]

@@ -9,7 +9,7 @@ import pytest
 from tests import chromium
 
 
-def test_a_playwright_that_does_not_start_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_playwright_that_does_not_start_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """As where a library is missing that its Node wants."""
     driver = pytest.importorskip("playwright._impl._driver")
     broken = "import sys; sys.exit('libatomic.so.1: cannot open shared object file')"

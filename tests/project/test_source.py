@@ -36,11 +36,11 @@ def imported(node: ast.AST) -> set[str]:
     return set()
 
 
-def test_there_is_something_to_walk() -> None:
+def test_the_walk_finds_source_files() -> None:
     assert len(SOURCES) > 100
 
 
-def test_nothing_is_pickled_and_nothing_read_is_run() -> None:
+def test_no_code_is_pickled_or_run_from_data() -> None:
     for path, tree in trees():
         for node in ast.walk(tree):
             assert not imported(node) & BANNED_MODULES, f"{path}:{getattr(node, 'lineno', 0)}"
@@ -53,7 +53,7 @@ def test_nothing_is_pickled_and_nothing_read_is_run() -> None:
                 assert node.arg != "shell" or _is(node.value, False), f"{path}:{node.value.lineno}"
 
 
-def test_between_the_service_and_its_lanes_go_bytes_alone() -> None:
+def test_the_front_and_its_lanes_exchange_bytes_only() -> None:
     """Whatever a lane becomes, the front reads MessagePack from it and nothing else."""
     for path, tree in trees():
         if path.parts[0] != "service":
@@ -78,7 +78,7 @@ def test_numpy_arrays_are_read_without_objects() -> None:
                     assert _is(told["allow_pickle"], False), f"{path}:{node.lineno}"
 
 
-def test_secrets_come_from_the_system() -> None:
+def test_secrets_come_from_the_system_s_generator() -> None:
     """``random`` decides over nothing that must not be guessed."""
     allowed = {"service/server.py", "service/client", "service/load"}
     for path, tree in trees():
@@ -87,7 +87,7 @@ def test_secrets_come_from_the_system() -> None:
                 assert "random" not in imported(node), path
 
 
-def test_the_service_calls_nobody() -> None:
+def test_the_service_makes_no_outgoing_calls() -> None:
     """No client is imported where calls are served: there is no URL that could be made to be fetched.
 
     The Python client, what measures with it, and the exporter of spans to the collector that a setting names
@@ -104,7 +104,7 @@ def test_the_service_calls_nobody() -> None:
 
 
 @pytest.mark.parametrize("call", ["eval('1')", "import pickle", "from pickle import loads", "import dill as x"])
-def test_the_walk_sees_what_it_looks_for(call: str) -> None:
+def test_the_walk_detects_what_it_forbids(call: str) -> None:
     nodes = list(ast.walk(ast.parse(call)))
     calls = {n.func.id for n in nodes if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
     assert calls & BANNED_CALLS or any(imported(node) & BANNED_MODULES for node in nodes)

@@ -49,19 +49,19 @@ SOUND = {
 
 
 @pytest.mark.parametrize(("data", "info"), SOUND.values(), ids=SOUND)
-def test_sound(data: bytes, info: FrameInfo) -> None:
+def test_a_sound_header_is_read(data: bytes, info: FrameInfo) -> None:
     assert sniff(data) == info.kind
     assert inspect(data, LIMITS) == info
 
 
-def test_lossy_webp() -> None:
+def test_a_lossy_webp_is_read() -> None:
     assert inspect(encode(".webp", picture(), 64, 80), LIMITS) == FrameInfo("webp", 160, 120)
 
 
 @pytest.mark.parametrize("kind", ["jpeg", "png", "webp"])
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize("orientation", range(10))
-def test_orientation(kind: str, order: str, orientation: int) -> None:
+def test_the_exif_orientation_swaps_the_sides(kind: str, order: str, orientation: int) -> None:
     info = inspect(images.oriented(kind, picture(), orientation, order), LIMITS)
     assert info.orientation == (orientation if 1 <= orientation <= 8 else 1)
     assert (info.width, info.height) == ((120, 160) if 5 <= orientation <= 8 else (160, 120))
@@ -84,7 +84,7 @@ def test_orientation(kind: str, order: str, orientation: int) -> None:
     ],
 )
 @pytest.mark.parametrize("kind", ["jpeg", "png", "webp"])
-def test_declared_size(kind: str, width: int, height: int, code: str) -> None:
+def test_the_declared_size_is_limited(kind: str, width: int, height: int, code: str) -> None:
     if kind == "webp" and not (0 < width <= 16384 and 0 < height <= 16384):
         return  # cannot be written
     data = {
@@ -103,12 +103,12 @@ def test_limits_are_inclusive() -> None:
     assert refused(JPEG, FrameLimits(max_side=159)) == "frame-too-large"
 
 
-def test_small_canvas_with_a_large_image() -> None:
+def test_a_small_canvas_with_a_large_image_is_refused() -> None:
     assert refused(riff(vp8x(16, 12), WEBP[12:])) == "frame-undecodable"
 
 
 @pytest.mark.parametrize("marker", [0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF])
-def test_kinds_of_jpeg_that_nobody_sends(marker: int) -> None:
+def test_unsupported_kinds_of_jpeg_are_refused(marker: int) -> None:
     assert refused(patched(JPEG, SOF + 1, marker)) == "frame-undecodable"
 
 
@@ -129,7 +129,7 @@ BROKEN_JPEG = {
 
 
 @pytest.mark.parametrize("data", BROKEN_JPEG.values(), ids=BROKEN_JPEG)
-def test_broken_jpeg(data: bytes) -> None:
+def test_a_broken_jpeg_is_refused(data: bytes) -> None:
     assert refused(data) == "frame-undecodable"
 
 
@@ -152,7 +152,7 @@ BROKEN_PNG_AND_WEBP = {
 
 
 @pytest.mark.parametrize("data", BROKEN_PNG_AND_WEBP.values(), ids=BROKEN_PNG_AND_WEBP)
-def test_broken_png_and_webp(data: bytes) -> None:
+def test_a_broken_png_or_webp_is_refused(data: bytes) -> None:
     assert refused(data) == "frame-undecodable"
 
 
@@ -182,7 +182,7 @@ NOT_OURS = {
 
 
 @pytest.mark.parametrize("data", NOT_OURS.values(), ids=NOT_OURS)
-def test_not_an_image_of_ours(data: bytes) -> None:
+def test_other_formats_are_refused(data: bytes) -> None:
     assert sniff(data) is None
     assert refused(data) == "unsupported-image"
 
@@ -208,7 +208,7 @@ def test_pixels_times_scans_are_bounded() -> None:
         assert width * height * scans <= LIMITS.max_scan_pixels < width * height * (scans + 1)
 
 
-def test_what_only_looks_like_scans_passes() -> None:
+def test_bytes_that_only_look_like_scans_pass() -> None:
     data = jpeg(*images.PROGRESSIVE)
     last = data.rfind(b"\xff\xda")
     comment = data[:last] + segment(0xFE, b"\xff\xda" * 100) + data[last:]
@@ -217,7 +217,7 @@ def test_what_only_looks_like_scans_passes() -> None:
     assert inspect(JPEG[:-2] + b"\xff\xda" * 100 + JPEG[-2:], LIMITS).width == 160  # no further scan is read
 
 
-def test_exif_that_lies() -> None:
+def test_a_lying_exif_is_ignored() -> None:
     for tiff in (b"", b"II*\0", b"II*\0\xff\xff\xff\xff", b"II*\0\x08\0\0\0\xff\xff", images.exif(6)[:-9]):
         data = JPEG[:2] + segment(0xE1, b"Exif\0\0" + tiff) + JPEG[2:]
         assert inspect(data, LIMITS) == FrameInfo("jpeg", 160, 120)
@@ -267,6 +267,6 @@ def test_fuzz_made_up(head: bytes, tail: bytes) -> None:
     never_anything_else(head + tail)
 
 
-def test_no_numpy_no_opencv() -> None:
+def test_reading_a_header_needs_neither_numpy_nor_opencv() -> None:
     code = "import sys, mfcmt_core.images; sys.exit(bool({'numpy', 'cv2'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
