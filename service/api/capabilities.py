@@ -8,7 +8,8 @@ from typing import Any
 from fastapi import APIRouter
 from starlette.responses import Response
 
-from ..protocol.answers import Capabilities, Limits, field_names, message
+from ..protocol.answers import field_names, message
+from ..protocol.capabilities import Capabilities, Limits
 from ..protocol.codecs import CODECS
 from ..protocol.enums import IMAGE_TYPES, VERSION, Mode, Preset, TrajectoryFormat
 from ..service import Service

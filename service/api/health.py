@@ -9,7 +9,8 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from ..protocol import examples
-from ..protocol.answers import Health, message
+from ..protocol.answers import message
+from ..protocol.capabilities import Health
 from ..protocol.enums import HealthStatus, ProblemCode
 from ..protocol.problems import NO_LANE, ProblemError
 from ..service import Service

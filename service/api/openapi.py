@@ -11,8 +11,6 @@ from fastapi.openapi.utils import get_openapi
 
 from ..protocol import examples
 from ..protocol.answers import (
-    Capabilities,
-    Health,
     ProblemDocument,
     Result,
     SessionInfo,
@@ -21,6 +19,7 @@ from ..protocol.answers import (
     Ticket,
     Trajectory,
 )
+from ..protocol.capabilities import Capabilities, Health
 from ..protocol.requests import BoxBody, Options, TicketBody
 from ..protocol.schema import NAMES, schemas
 from ..settings import Settings

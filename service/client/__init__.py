@@ -6,8 +6,9 @@
 ...         print(result.seq, result.target.box, result.target.status)
 """
 
-from .aio import AsyncClient, AsyncSession
+from .aio import AsyncClient
 from .errors import ClientError, ConnectionLost, Problem
+from .session import AsyncSession
 from .stream import AsyncStream
 from .sync import Client, Session, Stream
 from .types import (

@@ -7,7 +7,8 @@ import threading
 from collections.abc import Coroutine, Iterable, Iterator
 from typing import Any, Generic, Literal, Self, TypeVar, overload
 
-from .aio import AsyncClient, AsyncSession
+from .aio import AsyncClient
+from .session import AsyncSession
 from .stream import AsyncStream
 from .types import Frame, Image, Ready, Region, Result, SessionInfo, TargetChange, Targets, Ticket
 

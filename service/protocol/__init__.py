@@ -9,7 +9,8 @@ module                  holds
 ``enums``               the closed sets: status, mode, preset, problem code, close code, …
 ``values``              boxes, regions, frame numbers and echoed values: their types and checks
 ``target``              a target in one frame, as a message and as a row of plain values
-``answers``             what the service sends: results, sessions, limits, stream messages
+``answers``             what the service sends: results, sessions, stream messages
+``capabilities``        what the service can do and accepts
 ``requests``            what a client sends: frames, controls, options; with their checks
 ``problems``            the catalogue of problems and the one exception that refuses
 ``documents``           JSON and MessagePack, bounded where they come from outside

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
 
-from . import answers, requests
+from . import answers, capabilities, requests
 from .values import BOX_SAID, ECHO_SAID, REGION_SAID, SEQ_SAID, Box, Echo, Region, Seq
 
 T = TypeVar("T")
@@ -33,7 +33,9 @@ VALUES: dict[str, tuple[Any, dict[str, Any]]] = {
 REF = "#/components/schemas/{model}"
 _OPEN = (answers.ProblemDocument.__name__,)
 # What the service sends has all of its fields, also those with a default for rows and clients of before.
-_SENT: dict[str, Any] = {name: kind for name, kind in vars(answers).items() if is_dataclass(kind)}
+_SENT: dict[str, Any] = {
+    name: kind for name, kind in (vars(answers) | vars(capabilities)).items() if is_dataclass(kind)
+}
 _TAGGED = {kind.__name__: kind for kind in (*answers.STREAM_MESSAGES, *requests.STREAM_MESSAGES)}
 
 

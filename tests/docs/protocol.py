@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from service.api.asyncapi import close_codes
-from service.protocol import answers, requests
+from service.protocol import answers, capabilities, requests
 from service.protocol.enums import ProblemCode
 from service.protocol.problems import CATALOGUE
 from service.protocol.target import Target
@@ -69,7 +69,7 @@ def _optional(kind: Any, one: Any) -> bool:
 
 def limits_list() -> str:
     """Return the names of the limits that capabilities have."""
-    return ", ".join(f"`{one.name}`" for one in fields(answers.Limits))
+    return ", ".join(f"`{one.name}`" for one in fields(capabilities.Limits))
 
 
 TABLES: dict[str, Callable[[], str]] = {

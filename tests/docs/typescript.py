@@ -12,7 +12,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
-from service.protocol import answers, requests
+from service.protocol import answers, capabilities, requests
 from service.protocol.enums import IMAGE_TYPES, EndReason, Mode, Preset, ProblemCode, Resize, Status, TrajectoryFormat
 from service.protocol.target import Flags, Scores, Target
 from service.protocol.values import Box, Region, Size
@@ -39,8 +39,8 @@ INTERFACES = (
     answers.Targets,
     answers.TargetChange,
     answers.Ticket,
-    answers.Limits,
-    answers.Capabilities,
+    capabilities.Limits,
+    capabilities.Capabilities,
     answers.ProblemDocument,
     requests.Options,
 )

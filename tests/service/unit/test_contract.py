@@ -13,6 +13,7 @@ from pydantic import SecretStr
 from service.api import asyncapi, capabilities, page
 from service.app import create_app
 from service.protocol import answers, examples
+from service.protocol.capabilities import Capabilities
 from service.protocol.problems import CATALOGUE, ProblemError
 from service.protocol.schema import adapter
 from service.settings import Settings
@@ -136,7 +137,7 @@ def test_examples_fit_their_models() -> None:
     adapter(answers.SessionInfo).validate_python(examples.SESSION)
     adapter(answers.Result).validate_python(examples.RESULT)
     adapter(answers.Trajectory).validate_python(examples.TRAJECTORY)
-    adapter(answers.Capabilities).validate_python(examples.CAPABILITIES)
+    adapter(Capabilities).validate_python(examples.CAPABILITIES)
     document = asyncapi.document()
     for kind in asyncapi.MESSAGES:
         for example in examples.STREAM[kind.__name__]:
@@ -146,7 +147,7 @@ def test_examples_fit_their_models() -> None:
 def test_what_the_service_says_of_itself_is_the_example() -> None:
     app = create_app(Settings(lanes=2))
     told = capabilities.capabilities(app.state.service)
-    adapter(answers.Capabilities).validate_python(told)
+    adapter(Capabilities).validate_python(told)
     assert told["limits"] == examples.CAPABILITIES["limits"]
 
 
