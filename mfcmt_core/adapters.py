@@ -28,6 +28,7 @@ class OpenCVTracker:
 
     def __init__(self, config: MFCMTConfig | None = None) -> None:
         self.tracker = MFCMT(config)
+        self._confidence = 0.0
 
     @classmethod
     def create(cls, config: MFCMTConfig | None = None) -> Self:
@@ -36,12 +37,17 @@ class OpenCVTracker:
 
     def init(self, image: Image, boundingBox: Iterable[float]) -> None:
         """Start on (x, y, w, h), 0-based pixels of a BGR or gray ``uint8`` image. Raises BadBox or BadImage."""
-        self.tracker.init(image, boundingBox)
+        self._confidence = self.tracker.init(image, boundingBox).confidence
 
     def update(self, image: Image) -> tuple[bool, Box]:
         """Return ``(ok, (x, y, w, h))``. ``ok`` is False while it is lost. Raises NotInitialised or BadImage."""
         result = self.tracker.update(image)
+        self._confidence = result.confidence
         return result.status != "lost", result.box
+
+    def getTrackingScore(self) -> float:
+        """Return the confidence in the last box, as ``cv2.TrackerNano`` and ``cv2.TrackerVit`` do; 0 before a start."""
+        return self._confidence
 
 
 class Got10kTracker:

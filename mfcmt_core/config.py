@@ -106,6 +106,17 @@ class MFCMTConfig:
     doubt_margin: float = 2.0
     """Move to another place only if its template peak is this many times as high."""
 
+    # Confidence (beyond the paper)
+    tracking_threshold: float = 0.4
+    """Confidence from which on a target is ``tracking``; below it is ``uncertain``. 0: the three tests alone decide
+    over the status, and ``reliable`` does not ask for it."""
+    lost_threshold: float = 0.2
+    """Confidence below which a target counts as lost after ``lost_after`` frames in a row."""
+    hysteresis: float = 0.05
+    """How far beyond a threshold the confidence must be to bring a better status back."""
+    learn_threshold: float = 0.0
+    """Confidence that a frame needs, beside the three tests, for the models to learn from it."""
+
     # Scale (Algorithm 1, line 8; DSST)
     num_scales: int = 33
     """Number of scales searched, odd. 1: the size is fixed."""
@@ -149,6 +160,9 @@ class MFCMTConfig:
             statistical_weight=1.0,
             usual_threshold=0.0,
             lost_after=0,
+            tracking_threshold=0.0,
+            lost_threshold=0.0,
+            hysteresis=0.0,
             doubt_threshold=0.0,
             learn_within=0.0,
             scale_samples=33,
@@ -248,6 +262,10 @@ _RANGES: dict[str, tuple[type, float, float]] = {
     "found_threshold": (float, 0, 10),
     "doubt_threshold": (float, 0, 1),
     "doubt_margin": (float, 1, 1e3),
+    "tracking_threshold": (float, 0, 1),
+    "lost_threshold": (float, 0, 1),
+    "hysteresis": (float, 0, 1),
+    "learn_threshold": (float, 0, 1),
     "learn_within": (float, 0, 10),
     "num_scales": (int, 1, 101),
     "scale_samples": (int, 3, 101),

@@ -30,11 +30,16 @@ class Peaks:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The result of the three tests on one frame."""
+    """What the three tests and the confidence say about one frame.
+
+    ``learnable`` is True if the models shall learn from the frame. ``confidence`` is that in the reported box.
+    """
 
     flags: Flags
     scores: Scores
+    confidence: float
     reliable: bool
+    learnable: bool
     status: Status
 
 
@@ -43,7 +48,8 @@ class Reliability:
 
     ``long_term_means`` are the means of the template and the statistical peak over the frames that were learned. The
     ten-frame means sink with a vanishing target and would call it reliable again; the long-term means do not.
-    ``learned`` counts the learned frames, ``unreliable_run`` the unreliable ones since the last reliable frame.
+    ``learned`` counts the learned frames, ``unreliable_run`` the frames in a row that count towards a lost target.
+    ``tracking`` is True if that was the last frame's status.
     ``template_low`` says that the last frame's template peak was low at the target's place.
     """
 
@@ -55,9 +61,15 @@ class Reliability:
         self.unreliable_run = 0
         self.lost = False
         self.template_low = False
+        self.tracking = True
 
-    def judge(self, peaks: Peaks) -> Verdict:
-        """Return the verdict on a frame and add its peaks to the history."""
+    def start(self, confidence: float) -> Status:
+        """Return the status of the first frame."""
+        self.tracking = confidence >= self.config.tracking_threshold
+        return "tracking" if self.tracking else "uncertain"
+
+    def judge(self, peaks: Peaks, confidence: float) -> Verdict:
+        """Return the verdict on a frame and add its peaks to the history; ``confidence`` is that in its candidate."""
         c = self.config
         values = (peaks.fused, peaks.template, peaks.statistical)
         # a flat history (mean 0) and an empty one test nothing
@@ -70,14 +82,24 @@ class Reliability:
             scores.template > c.template_threshold and not low_template,
             scores.statistical > c.statistical_threshold and not low_statistical,
         )
-        reliable = flags.fused and flags.template and flags.statistical
-        self.unreliable_run = 0 if reliable else self.unreliable_run + 1
+        passed = flags.fused and flags.template and flags.statistical
+        if c.tracking_threshold:
+            self.tracking = confidence >= c.tracking_threshold + (0 if self.tracking else c.hysteresis)
+            failed = confidence < c.lost_threshold
+        else:
+            self.tracking, failed = passed, not passed
+        self.unreliable_run = self.unreliable_run + 1 if failed else 0
         if self.lost:
-            self.lost = not reliable or any(self._is_low(peaks, c.found_threshold))
+            self.lost = not self.tracking or any(self._is_low(peaks, c.found_threshold))
         elif c.lost_after and self.unreliable_run >= c.lost_after:
             self.lost = True
-        status: Status = "lost" if self.lost else "tracking" if reliable else "uncertain"
-        return Verdict(flags, scores, reliable and not self.lost, status)
+        if self.lost:
+            self.tracking = False
+            if c.tracking_threshold:  # the candidate was refused, so the reported box is an older one
+                confidence = min(confidence, c.lost_threshold)
+        status: Status = "lost" if self.lost else "tracking" if self.tracking else "uncertain"
+        learnable = passed and not self.lost and confidence >= c.learn_threshold
+        return Verdict(flags, scores, confidence, passed and self.tracking, learnable, status)
 
     def is_template_low(self, peaks: Peaks) -> bool:
         """Return True if the template peak is below ``doubt_threshold`` of its long-term mean."""

@@ -41,9 +41,12 @@ class TrackResult:
     box : (float, float, float, float)
         ``(x, y, w, h)`` in pixels of the frame. While the target is lost, this is its last reliable box.
     status : {"tracking", "uncertain", "lost"}
-        ``"tracking"`` if the frame is reliable, ``"uncertain"`` if it is not, ``"lost"`` after many unreliable frames.
+        With the default preset it follows from the confidence: ``"tracking"`` from ``tracking_threshold`` on,
+        ``"lost"`` after many frames below ``lost_threshold``, otherwise ``"uncertain"``. With the paper's it is
+        ``"tracking"`` if the frame passed all three tests.
     reliable : bool or None
-        True if the frame passed all three tests. None on the frame that started the target, as the next three.
+        True if the frame passed all three tests and the status is ``"tracking"``. None on the frame that started the
+        target, as the next three.
     flags : Flags or None
         The three tests one by one.
     scores : Scores or None
@@ -54,6 +57,8 @@ class TrackResult:
         True if the models learned from this frame.
     scale : float
         The size of the box relative to the box that was given.
+    confidence : float
+        Probability, 0 to 1, that the box overlaps the target by more than half. This is the number to act on.
     maps : dict of ndarray or None
         The response maps by name, if they were asked for: ``fused``, one per model, and one per cue. Each is float32
         of shape (rows, columns), with zero displacement in the middle, and has sum 1 unless ``probability`` is "raw".
@@ -67,4 +72,5 @@ class TrackResult:
     psr: float | None
     updated: bool
     scale: float
+    confidence: float = 1.0
     maps: dict[str, npt.NDArray[np.float32]] | None = None

@@ -14,6 +14,7 @@ import msgpack
 import numpy as np
 import numpy.typing as npt
 
+from .confidence import SLOW
 from .config import MFCMTConfig
 from .errors import BadConfig, BadSnapshot
 from .geometry import MAX_FRAME_SIDE
@@ -24,11 +25,18 @@ if TYPE_CHECKING:
     from .target import Target
 
 FORMAT = "mfcmt-tracker"
-VERSION = 4
-PREVIOUS_VERSION = 3
-"""The version before, which is read but not written. It held the scale filter as real waves, and no ``anchor``."""
-PREVIOUS_CONFIG = {"scale_interval": 1, "surroundings_weight": 0.0}
-"""Values of the parameters that the previous version did not have."""
+VERSION = 5
+WITHOUT_CONFIDENCE = 4
+"""A version that is read but not written. It held no look of the first frame; the next frame gives one."""
+WITH_REAL_WAVES = 3
+"""The version before that, read as well. It held the scale filter as real waves, and no ``anchor``."""
+_STATUS_BY_TESTS = {"tracking_threshold": 0.0, "lost_threshold": 0.0, "hysteresis": 0.0, "learn_threshold": 0.0}
+MISSING_CONFIG: dict[int, dict[str, float]] = {
+    VERSION: {},
+    WITHOUT_CONFIDENCE: _STATUS_BY_TESTS,
+    WITH_REAL_WAVES: _STATUS_BY_TESTS | {"scale_interval": 1, "surroundings_weight": 0.0},
+}
+"""For each version that is read, the values of the parameters that it did not have."""
 MAX_VALUE = 1e12
 """Largest value in any array: far above what images give, and responses to it stay inside float32."""
 MIN_SIDE = 1e-3
@@ -52,12 +60,13 @@ class State:
     runner_up: tuple[float, float] | None
     frames_since_scale_search: int
     reliability: dict[str, Any]
+    confidence: dict[str, Any]
     arrays: dict[str, Any]
 
 
 def dump(config: MFCMTConfig, target: Target, frame_size: tuple[int, int]) -> bytes:
     """Return the bytes of everything that decides later results."""
-    r = target.reliability
+    r, c = target.reliability, target.confidence
     document = {
         "format": FORMAT,
         "version": VERSION,
@@ -77,7 +86,9 @@ def dump(config: MFCMTConfig, target: Target, frame_size: tuple[int, int]) -> by
             "unreliable_run": r.unreliable_run,
             "lost": r.lost,
             "doubtful": r.template_low,
+            "tracking": r.tracking,
         },
+        "confidence": {"slow": list(c.slow), "judged": c.judged, "known": c.known, "blank": c.blank},
         "arrays": {name: _pack(array) for name, array in _arrays(target).items()},
     }
     data: bytes = msgpack.packb(document)
@@ -99,15 +110,14 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
         raise BadSnapshot("not MessagePack") from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise BadSnapshot("not a tracker's snapshot")
-    if document.get("version") not in (VERSION, PREVIOUS_VERSION):
-        raise BadSnapshot(f"version {document.get('version')!r} is not {VERSION} or {PREVIOUS_VERSION}")
+    version = document.get("version")
+    if type(version) is not int or version not in MISSING_CONFIG:
+        raise BadSnapshot(f"version {version!r} is not one of {', '.join(map(str, MISSING_CONFIG))}")
     try:
-        config = MFCMTConfig.from_dict(
-            (PREVIOUS_CONFIG if document["version"] == PREVIOUS_VERSION else {}) | document["config"]
-        )
+        config = MFCMTConfig.from_dict(MISSING_CONFIG[version] | document["config"])
         width, height = (_integer(v, 1, MAX_FRAME_SIDE) for v in document["frame_size"])
         w, h = (_number(v, MIN_SIDE, 4 * MAX_FRAME_SIDE) for v in document["base_size"])
-        if document["version"] == PREVIOUS_VERSION:
+        if version == WITH_REAL_WAVES:
             document["anchor"] = document["center"]
         center, anchor = (_place(document[name], (width, height)) for name in ("center", "anchor"))
         r = document["reliability"]
@@ -118,13 +128,15 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
             "unreliable_run": _integer(r["unreliable_run"], 0, 1 << 62),
             "lost": _boolean(r["lost"]),
             "template_low": _boolean(r["doubtful"]),
+            "tracking": _boolean(r["tracking"]) if version == VERSION else True,
         }
+        confidence = _confidence(document["confidence"]) if version == VERSION else {}
         scale = _number(document["scale"], 1e-6, 1e10)
         # the first snapshots of this version had neither: the scale was searched in every N-th learned frame
         runner_up = document.get("rival")
         waited = document.get("waited", r["learned"] % config.scale_interval)
         state = State(
-            document["version"],
+            version,
             (w, h),
             _boolean(document["grey"]),
             center,
@@ -133,6 +145,7 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
             None if runner_up is None else _place(runner_up, (width, height)),
             _integer(waited, 0, 1 << 62),
             reliability,
+            confidence,
             dict(document["arrays"]),
         )
     except (KeyError, TypeError, ValueError, BadConfig) as error:
@@ -142,7 +155,7 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
 
 def restore(target: Target, state: State) -> None:
     """Fill a target that was built for ``state``. Raises BadSnapshot if an array does not fit its models."""
-    expected = _arrays(target) if state.version == VERSION else _previous_arrays(target)
+    expected = _arrays_of(state.version, target)
     if set(expected) != set(state.arrays):
         raise BadSnapshot(f"the arrays are not {sorted(expected)}")
     for name, array in expected.items():
@@ -153,7 +166,9 @@ def restore(target: Target, state: State) -> None:
         target.scale_model.frames_since_search = state.frames_since_scale_search
     for name, value in state.reliability.items():
         setattr(target.reliability, name, value)
-    if target.scale_model and state.version == PREVIOUS_VERSION:
+    for name, value in state.confidence.items():
+        setattr(target.confidence, name, value)
+    if target.scale_model and state.version == WITH_REAL_WAVES:
         waves, sums, energy = (expected[name] for name in ("scale_waves", "scale_sums", "scale_energy"))
         target.scale_model.load_real_waves(waves, sums, energy)
     if target.template:
@@ -177,13 +192,15 @@ def _arrays(target: Target) -> dict[str, npt.NDArray[Any]]:
         arrays |= {"histograms": c.histograms, "histogram_gain": c.decay_scale}
     if s := target.scale_model:
         arrays |= {"scale_mean": s.numerator, "scale_energy": s.energy}
-    return arrays
+    return arrays | {"first_look": target.confidence.first}
 
 
-def _previous_arrays(target: Target) -> dict[str, npt.NDArray[Any]]:
-    """Return arrays for the previous version: the scale filter as :meth:`ScaleModel.load_real_waves` takes it."""
+def _arrays_of(version: int, target: Target) -> dict[str, npt.NDArray[Any]]:
+    """Return the arrays that a snapshot of this version holds, by name."""
     arrays = _arrays(target)
-    if target.scale_model:
+    if version != VERSION:
+        del arrays["first_look"]
+    if version == WITH_REAL_WAVES and target.scale_model:  # as ScaleModel.load_real_waves takes them
         cells, channels, half = arrays.pop("scale_mean").shape
         lanes = -(-(half - 1) // LANES) * LANES
         arrays |= {
@@ -246,6 +263,14 @@ def _history(value: Any) -> deque[tuple[float, float, float]]:
     if any(len(row) != 3 for row in rows):
         raise ValueError("a frame has three peaks")
     return deque(rows, maxlen=HISTORY)  # type: ignore[arg-type]
+
+
+def _confidence(fields: Any) -> dict[str, Any]:
+    slow = [_number(v, -1e6, 1e6) for v in fields["slow"]]
+    if len(slow) != len(SLOW):
+        raise ValueError(f"not {len(SLOW)} slow means")
+    judged = _integer(fields["judged"], 0, 1 << 62)
+    return {"slow": slow, "judged": judged} | {name: _boolean(fields[name]) for name in ("known", "blank")}
 
 
 def _boolean(value: Any) -> bool:

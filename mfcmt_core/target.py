@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .color import Bins, ColorModel
+from .confidence import BoxPixels, Confidence
 from .config import MFCMTConfig
 from .features import usable_cues
 from .fourier import Spectra
@@ -96,6 +97,7 @@ class Target:
         self.color = ColorModel(config, self.search_window, is_gray) if has_color else None
         self.scale_model = ScaleModel(config, base_size) if config.num_scales > 1 else None
         self.reliability = Reliability(config)
+        self.confidence = Confidence()
         self.learn_within = config.learn_within
         self.largest_step = config.scale_step * (1 + 1e-6)  # rounding
         names = (self.template.names if self.template else ()) + (("statistical",) if self.color else ())
@@ -166,10 +168,34 @@ class Target:
         shape = (2 * reach_y + 1, 2 * reach_x + 1)
         return scratch("responses", (len(self.map_names), *shape)), scratch("fused", shape)
 
+    def box_pixels(self, crop: Crop, center: Point, frame_size: tuple[int, int]) -> BoxPixels:
+        """Return the target's box around ``center`` in the pixels of ``crop``; ``frame_size`` is (w, h)."""
+        (width, height), (step_x, step_y) = self.size, crop.patch.step
+        (x, y), (offset_x, offset_y) = center, crop.offset(center)
+        inside_x = min(x + width / 2, frame_size[0]) - max(x - width / 2, 0.0)
+        inside_y = min(y + height / 2, frame_size[1]) - max(y - height / 2, 0.0)
+        rows, columns = crop.gray.shape
+        w, h = width / step_x, height / step_y
+        return BoxPixels(
+            gray=crop.gray,
+            bins=crop.bins if self.color else (crop.gray >> 3).astype(np.uint16),
+            channels=3 if self.color and not self.is_gray else 1,
+            left=columns / 2 + offset_x - w / 2,
+            top=rows / 2 + offset_y - h / 2,
+            width=w,
+            height=h,
+            inside=max(inside_x, 0.0) * max(inside_y, 0.0) / (width * height),
+        )
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """The width and height of the box at the present scale, in pixels of the frame."""
+        return self.base_size[0] * self.scale, self.base_size[1] * self.scale
+
     @property
     def box(self) -> Box:
         """The box (x, y, w, h) at the present center and scale."""
-        w, h = self.base_size[0] * self.scale, self.base_size[1] * self.scale
+        w, h = self.size
         return self.center[0] - w / 2, self.center[1] - h / 2, w, h
 
 

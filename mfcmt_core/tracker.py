@@ -12,10 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from . import snapshot
+from .confidence import MapEvidence
 from .config import MFCMTConfig
 from .errors import BadConfig, BadImage, BadSnapshot, NotInitialised
 from .fusion import fuse
 from .geometry import Frame, Image, Rect, SearchWindow, check_box, clip_rect, grow_rect
+from .kernels.fusion import second_peak_ratio
 from .redetection import propose, second_peak
 from .reliability import Peaks, Verdict
 from .result import TrackResult
@@ -31,14 +33,17 @@ WIDE_REGION_FACTOR = 2.0
 MOTION_MARGIN = 0.5
 """Margin that :meth:`MFCMT.region` adds on each side per frame in flight, as a fraction of the target's side."""
 
+LEAVE_OUT = 4
+"""Cells on each side of a fused map's peak in which no second one is looked for, see :class:`MapEvidence`."""
+
 
 @dataclass(frozen=True, slots=True)
 class Detection:
-    """Where a fused map peaks: ``center`` (x, y) in the frame, the peaks of the maps, the peak-to-sidelobe ratio."""
+    """Where a fused map peaks: ``center`` (x, y) in the frame, the peaks of the maps, and what else the maps say."""
 
     center: Point
     peaks: Peaks
-    psr: float
+    evidence: MapEvidence
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +129,8 @@ class MFCMT:
         Returns
         -------
         TrackResult
-            The given box, with status ``"tracking"`` and no flags, scores or ``psr``.
+            The given box with confidence 1 and no flags, scores or ``psr``. If the window around the box is flat, there
+            is nothing to follow: the confidence is low and the status ``"uncertain"``.
 
         Raises
         ------
@@ -143,11 +149,23 @@ class MFCMT:
         frame.require(readable)
         target = Target(self.config, (w, h), is_gray(window.crop(frame, readable, center, 1.0).pixels))
         target.center = target.last_reliable_center = center
-        target.learn(target.observe(frame, readable, center), first=True)
+        observation = target.observe(frame, readable, center)
+        target.learn(observation, first=True)
         if model := target.scale_model:
             model.learn(model.spectra(frame, readable, center, 1.0), first=True)
+        confidence = target.confidence.start(target.box_pixels(observation.crop, center, frame.size))
         self._target, self._frame_size = target, frame.size
-        return TrackResult((x, y, w, h), "tracking", None, None, None, None, True, 1.0)
+        return TrackResult(
+            box=(x, y, w, h),
+            status=target.reliability.start(confidence),
+            confidence=confidence,
+            reliable=None,
+            flags=None,
+            scores=None,
+            psr=None,
+            updated=True,
+            scale=1.0,
+        )
 
     def update(
         self,
@@ -193,23 +211,27 @@ class MFCMT:
 
         candidate = self._search(target, frame, readable)
         map_copies = self._copy_maps(target, frame, candidate.observation) if maps else None
-        verdict = target.reliability.judge(candidate.peaks)
+        detection = candidate.detection
+        pixels = target.box_pixels(candidate.observation.crop, detection.center, frame.size)
+        confidence, is_flat = target.confidence.judge(detection.evidence, pixels, is_new=target.reliability.lost)
+        verdict = target.reliability.judge(candidate.peaks, confidence)
         if verdict.status == "lost":
             target.center = target.last_reliable_center  # whatever peaked since then was noise
-        else:
-            target.center = candidate.detection.center
+        elif not (is_flat and self.config.tracking_threshold):  # a flat map has its peak anywhere
+            target.center = detection.center
             self._update_scale(target, frame, readable, verdict)
-        if verdict.reliable:
+        if verdict.learnable:
             target.last_reliable_center = target.center
             self._learn(target, frame, readable, candidate)
         return TrackResult(
             box=target.box,
             status=verdict.status,
+            confidence=verdict.confidence,
             reliable=verdict.reliable,
             flags=verdict.flags,
             scores=verdict.scores,
-            psr=candidate.detection.psr,
-            updated=verdict.reliable,
+            psr=detection.evidence.psr,
+            updated=verdict.learnable,
             scale=target.scale,
             maps=map_copies,
         )
@@ -406,18 +428,19 @@ class MFCMT:
         statistical = peak.tops[-1] if target.color else 1.0
         x, y = observation.place_at(peak.displacement)
         center = (min(max(x, 0.0), float(frame.size[0])), min(max(y, 0.0), float(frame.size[1])))
-        return Detection(center, Peaks(peak.height, template, statistical), peak.psr)
+        evidence = MapEvidence(peak.psr, second_peak_ratio(fused, LEAVE_OUT), statistical)
+        return Detection(center, Peaks(peak.height, template, statistical), evidence)
 
     def _update_scale(self, target: Target, frame: Frame, readable: Rect, verdict: Verdict) -> None:
         """Find the target's scale, and learn it if the frame is reliable (lines 8 and 10 of Algorithm 1)."""
         model = target.scale_model
-        if model is None or not (verdict.reliable or not self.config.scale_when_reliable):
+        if model is None or not (verdict.learnable or not self.config.scale_when_reliable):
             return
-        if verdict.reliable and not model.advance(busy=target.reliability.template_low):
+        if verdict.learnable and not model.advance(busy=target.reliability.template_low):
             return
         spectra = model.spectra(frame, readable, target.center, target.scale)
         scale = model.clamp(target.scale * model.estimate(spectra), frame.size)
-        if verdict.reliable:
+        if verdict.learnable:
             growth = scale / target.scale
             if growth != 1 and not self.config.learn_within:
                 spectra, growth = model.spectra(frame, readable, target.center, scale), 1.0

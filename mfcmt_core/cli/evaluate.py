@@ -16,16 +16,18 @@ import cv2
 from ..otb import film
 from ..otb.catalogue import resolve
 from ..otb.dataset import Dataset
-from ..otb.document import Picture, to_markdown
+from ..otb.document import Block, Picture, to_markdown
 from ..otb.errors import DataError, NoData
+from ..otb.fit import constants, fit, held_out, record_all
 from ..otb.layouts import LAYOUTS, open_dataset
 from ..otb.protocol import PROTOCOLS
 from ..otb.report import Results, write_report
 from ..otb.reproduce import reproduce
-from ..otb.runner import boxes_of, evaluate
+from ..otb.runner import boxes_of, evaluate, judged
 from ..otb.score import Evaluation
 from ..otb.tables import summary
-from ..otb.trackers import Entry, ResultFolder
+from ..otb.trackers import Engine, Entry, ResultFolder
+from ..otb.trust_tables import absences, ranking, statuses, trust_blocks
 from . import UsageError
 from .progress import Progress
 from .variables import misspelt_variables
@@ -67,6 +69,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--film", metavar="NAMES", help="add film strips of these sequences to the report (OPE)")
     parser.add_argument("--video", action="store_true", help="also write the whole film of each strip as MP4")
     parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="also measure how far each tracker's own confidence and status can be trusted",
+    )
+    parser.add_argument(
+        "--fit-confidence",
+        nargs="+",
+        type=Path,
+        metavar="FOLDER",
+        help="fit the constants of the confidence to the sequences of these folders and print them, with what they "
+        "are worth on data sets that were left out",
+    )
+    parser.add_argument(
         "--reproduce",
         type=Path,
         metavar="FOLDER",
@@ -78,6 +93,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run what is not finished and print a table per protocol. Return 1 if a tracker failed on a sequence."""
+    if args.fit_confidence:
+        return _fit(args)
     protocols = [p.upper() for p in args.protocol.split(",")]
     if unknown := set(protocols) - set(PROTOCOLS):
         raise UsageError(f"unknown protocol: {', '.join(sorted(unknown))}")
@@ -92,33 +109,65 @@ def run(args: argparse.Namespace) -> int:
     trackers = [resolve(text, args.results) for given in args.trackers for text in given.split(",") if text]
     lost = False
     results: Results = {}
+    trust: list[Block] = []
     for protocol in protocols:
         results[protocol] = evaluations = _evaluate(args, dataset, trackers, protocol)
         title = f"{dataset.name} {protocol}, {dataset.coverage} targets"
         print(to_markdown([title, summary(evaluations, dataset)]))
         lost |= _complain(trackers, evaluations)
+        if args.trust:
+            blocks = trust_blocks(protocol, {t.name: judged(t, dataset, protocol, args.results) for t in trackers})
+            print(to_markdown([b for b in blocks if not isinstance(b, Picture)] or ["No tracker says how sure it is."]))
+            trust += blocks
     if args.report is not None:
         films = _films(args, dataset, trackers)
         command = shlex.join(["mfcmt", *sys.argv[1:]])
-        write_report(args.report, dataset, results, command=command, films=films)
+        write_report(args.report, dataset, results, command=command, films=films, trust=trust)
         print(args.report / "report.html")
     return int(lost)
+
+
+def _fit(args: argparse.Namespace) -> int:
+    """Fit the confidence of the tracker that is asked for, and print what the fit is worth and its constants."""
+    trackers = [resolve(text, args.results) for given in args.trackers for text in given.split(",") if text]
+    if len(trackers) != 1 or not isinstance(trackers[0], Engine):
+        raise UsageError("--fit-confidence fits one preset or configuration: name it with --trackers")
+    datasets = [_open(folder, args) for folder in args.fit_confidence]
+    recorded = []
+    with _Bar("fit") as bar:
+        for done in record_all(datasets, trackers[0].config, args.jobs):
+            recorded.append(done)
+            bar(len(recorded), sum(map(len, datasets)))
+    sources = sorted({r.source for r in recorded})
+    frames = sum(len(r.overlap) for r in recorded)
+    title = f"{len(recorded)} sequences of {', '.join(sources)}; {frames} frames, each scored without its data set"
+    said = {trackers[0].name: held_out(recorded)}
+    print(
+        to_markdown(
+            [title, ranking(said), statuses(said), absences(said), f"```python\n{constants(fit(recorded))}\n```"]
+        )
+    )
+    return 0
 
 
 def _dataset(args: argparse.Namespace) -> Dataset:
     for line in misspelt_variables():
         print(f"mfcmt eval: {line}", file=sys.stderr)
-    if not args.data.is_dir():
-        raise UsageError(f"no data at {args.data}: {WANTED}")
-    try:
-        dataset = open_dataset(args.data, args.layout, SUBSETS[args.set])
-    except NoData as nothing:
-        raise UsageError(f"{nothing}: {WANTED}") from nothing
+    dataset = _open(args.data, args)
     if args.sequences:
         return dataset.select(args.sequences.split(","))
     if dataset.missing:
         print(f"{dataset.coverage} targets; not here: {', '.join(dataset.missing)}", file=sys.stderr)
     return dataset
+
+
+def _open(folder: Path, args: argparse.Namespace) -> Dataset:
+    if not folder.is_dir():
+        raise UsageError(f"no data at {folder}: {WANTED}")
+    try:
+        return open_dataset(folder, args.layout, SUBSETS[args.set])
+    except NoData as nothing:
+        raise UsageError(f"{nothing}: {WANTED}") from nothing
 
 
 def _evaluate(

@@ -12,7 +12,7 @@ from ..result import TrackResult
 
 Row = Callable[[int, TrackResult], str]
 
-COLUMNS = "frame,x,y,w,h,status,reliable,fused,template,statistical,psr,updated,scale"
+COLUMNS = "frame,x,y,w,h,status,reliable,fused,template,statistical,psr,updated,scale,confidence"
 
 
 def _csv(frame: int, result: TrackResult) -> str:
@@ -27,6 +27,7 @@ def _csv(frame: int, result: TrackResult) -> str:
         result.psr,
         result.updated,
         result.scale,
+        result.confidence,
     )
     line = io.StringIO()
     csv.writer(line, lineterminator="").writerow([_plain(v) for v in values])
@@ -51,10 +52,10 @@ def _otb(_: int, result: TrackResult) -> str:
 
 
 def _mot(frame: int, result: TrackResult) -> str:
-    """1-based frame, id and box; confidence 1 where reliable and 0 where not; a lost target has no line."""
+    """1-based frame, id and box; the confidence as ``conf``; a lost target has no line."""
     if result.status == "lost":
         return ""
-    return f"{frame + 1},1,{_otb(frame, result)},{int(result.reliable is not False)},-1,-1,-1"
+    return f"{frame + 1},1,{_otb(frame, result)},{result.confidence:.4f},-1,-1,-1"
 
 
 FORMATS: dict[str, tuple[str, Row]] = {

@@ -26,7 +26,7 @@ class Overlay:
         self._past: deque[TrackResult] = deque(maxlen=4096)
 
     def draw(self, frame: Image, result: TrackResult) -> Image:
-        """Return a new BGR image: the frame with the box, and three rows of scores below it."""
+        """Return a new BGR image: the frame with box, status and confidence, and three rows of scores below it."""
         self._past.append(result)
         height, width = frame.shape[:2]
         full = np.full((height + 3 * ROW, width, 3), PAPER, np.uint8)
@@ -42,11 +42,12 @@ class Overlay:
         x, y, w, h = result.box
         near, far = (round(x * 16), round(y * 16)), (round((x + w - 1) * 16), round((y + h - 1) * 16))
         cv2.rectangle(image, near, far, color, 2, cv2.LINE_AA, shift=4)
-        (tw, th), _ = cv2.getTextSize(result.status, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)
+        text = f"{result.status} {result.confidence:.2f}"
+        (tw, th), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)
         left = int(np.clip(x, 0, max(0, image.shape[1] - tw - 8)))
         base = int(np.clip(y - 6, th + 6, image.shape[0] - 6))
         cv2.rectangle(image, (left, base - th - 5), (left + tw + 7, base + 4), color, -1)
-        cv2.putText(image, result.status, (left + 4, base), cv2.FONT_HERSHEY_SIMPLEX, 0.5, PAPER, 1, cv2.LINE_AA)
+        cv2.putText(image, text, (left + 4, base), cv2.FONT_HERSHEY_SIMPLEX, 0.5, PAPER, 1, cv2.LINE_AA)
 
     def _row(self, row: Image, name: str, threshold: float) -> None:
         width = row.shape[1]

@@ -100,3 +100,20 @@ def fuse_and_find(responses, weights, floor, power, leave_out, tops, fused):  # 
     """Call :func:`fuse_maps`, then return :func:`find_peak` of the fused map."""
     fuse_maps(responses, weights, floor, power, tops, fused)
     return find_peak(fused, leave_out)
+
+
+@kernel
+def second_peak_ratio(fused, leave_out):  # type: ignore[no-untyped-def]
+    """Return the second peak of a map over its first, which lies more than ``leave_out`` cells away; 1 for none."""
+    rows, columns = fused.shape
+    pi, pj = 0, 0
+    for i in range(rows):
+        for j in range(columns):
+            if fused[i, j] > fused[pi, pj]:
+                pi, pj = i, j
+    second = np.float32(0)
+    for i in range(rows):
+        for j in range(columns):
+            if abs(i - pi) > leave_out or abs(j - pj) > leave_out:
+                second = max(second, fused[i, j])
+    return np.float64(second / fused[pi, pj]) if fused[pi, pj] > 0 else 1.0

@@ -16,6 +16,8 @@ import numpy.typing as npt
 from ..images.files import SUFFIXES, BadImageFile, read_image
 from .errors import DataError, NoData
 from .metrics import Array, Mask
+from .video import SUFFIXES as VIDEO_SUFFIXES
+from .video import read_video_frame
 
 Image = npt.NDArray[np.uint8]
 
@@ -48,7 +50,8 @@ class Sequence:
     ``boxes`` is ``(N, 4)`` float64, x, y, w, h in pixels, 0-based. ``valid`` is ``(N,)`` and tells the frames
     with a usable annotation, ``startable`` those on which a run of TRE may start. Frames that are not valid
     count the OTB way (lost for success, found for precision) unless ``skip_invalid``. ``first`` is the number
-    of the first frame in its folder. ``frames`` is empty where only annotations are at hand.
+    of the first frame in its folder. ``frames`` is empty where only annotations are at hand; of a video it names
+    the file once for each frame.
     """
 
     name: str
@@ -80,6 +83,16 @@ class Sequence:
         """Number of the last frame in its folder."""
         return self.first + len(self) - 1
 
+    @property
+    def is_video(self) -> bool:
+        """Whether the frames are those of one video file."""
+        return bool(self.frames) and self.frames[0].suffix.lower() in VIDEO_SUFFIXES
+
+    @property
+    def source(self) -> str:
+        """The data set it comes from where its name says so, ``VOT`` of ``VOT-bag``; else empty."""
+        return self.name.partition("-")[0] if self.is_video and "-" in self.name else ""
+
     @cached_property
     def image_size(self) -> tuple[int, int] | None:
         """Width and height of the frames in pixels; None without frames."""
@@ -90,6 +103,8 @@ class Sequence:
 
     def read(self, index: int) -> Image:
         """Decode a frame: ``(H, W, 3)`` uint8, BGR. Raises DataError for a file that is no whole image."""
+        if self.is_video:
+            return read_video_frame(self.frames[index], index)
         try:
             return read_image(self.frames[index])
         except BadImageFile as bad:

@@ -25,6 +25,7 @@ from .dataset import (
 )
 from .errors import DataError, NoData
 from .metrics import Array
+from .video import SUFFIXES as VIDEO_SUFFIXES
 
 ZERO_BASED: Array = np.zeros(4)
 
@@ -54,7 +55,7 @@ def detect(root: Path) -> str:
         return "otb"
     if (root / "list.txt").is_file() and any(p.is_file() for p in root.glob("*/groundtruth.txt")):
         return "vot"
-    return "plain"
+    return "videos" if _videos(root) else "plain"
 
 
 def open_got10k(root: Path) -> Dataset:
@@ -97,11 +98,26 @@ def open_plain(root: Path) -> Dataset:
     )
 
 
+def open_videos(root: Path) -> Dataset:
+    """``<name>.mp4`` beside ``<name>.txt``, whose boxes count from 0; NaN where the target is absent."""
+    found = {}
+    for path in _videos(root):
+        boxes = read_boxes(path.with_suffix(".txt"))
+        found[path.stem] = Sequence.of(path.stem, [path] * len(boxes), boxes)
+    return _gathered(root.resolve().name, root, found)
+
+
+def _videos(root: Path) -> list[Path]:
+    """The videos of a folder that have a text file of their name beside them."""
+    return sorted(p for p in root.iterdir() if p.suffix.lower() in VIDEO_SUFFIXES and p.with_suffix(".txt").is_file())
+
+
 LAYOUTS: dict[str, Callable[[Path], Dataset]] = {
     "otb": open_otb,
     "got10k": open_got10k,
     "vot": open_vot,
     "uav123": open_uav123,
+    "videos": open_videos,
     "plain": open_plain,
 }
 

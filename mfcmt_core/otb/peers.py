@@ -28,6 +28,12 @@ class OpenCVPeer:
         self._box: Box = (0.0, 0.0, 0.0, 0.0)
         self.found = True
 
+    @property
+    def confidence(self) -> float:
+        """Its score where it has one, else 1 where it reports the target found and 0 where not."""
+        score = getattr(self._tracker, "getTrackingScore", None)
+        return float(score()) if score else float(self.found)
+
     def init(self, image: Image, box: Iterable[float]) -> None:
         """Start on the box; OpenCV takes whole pixels only."""
         x, y, w, h = (round(v) for v in box)
@@ -48,6 +54,8 @@ class DlibPeer:
     def __init__(self) -> None:
         self._dlib: Any = importlib.import_module("dlib")
         self._tracker = self._dlib.correlation_tracker()
+        self.confidence: float | None = None
+        """The peak-to-sidelobe ratio of the last frame: not a probability."""
 
     def init(self, image: Image, box: Iterable[float]) -> None:
         """Start on the box; dlib's rectangles include their last pixel."""
@@ -57,7 +65,7 @@ class DlibPeer:
 
     def update(self, image: Image) -> Box:
         """The box in the next frame."""
-        self._tracker.update(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+        self.confidence = float(self._tracker.update(cv2.cvtColor(image, cv2.COLOR_BGR2RGB)))
         place = self._tracker.get_position()
         return place.left(), place.top(), place.right() - place.left() + 1, place.bottom() - place.top() + 1
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence as Seq
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -15,9 +16,14 @@ from .dataset import ATTRIBUTES, Dataset
 from .document import PALETTE
 from .metrics import NORM_PRECISION_THRESHOLDS, PRECISION_THRESHOLDS, SUCCESS_THRESHOLDS, Array
 from .score import Evaluation
+from .trust import Pool, calibration
+from .trust import risk_coverage as curve
+from .trust_tables import Said
 
 TOP = 10
 """Trackers in a plot; the tables have all."""
+POINTS = 200
+"""Of a curve that has one for each frame."""
 
 DASHES = ("-", "--", "-.")
 
@@ -76,6 +82,50 @@ def attribute_plots(kind: Kind, evaluations: Seq[Evaluation], dataset: Dataset, 
             heading = f"{ATTRIBUTES[attribute]} ({len(names)})"
             _draw(figure.add_subplot(rows, 3, place), kind, some, heading, names, styles, small=True)
         return _svg(figure)
+
+
+def reliability(said: Said, title: str) -> str:
+    """Return the reliability diagrams of trackers whose confidence is a probability, as SVG text."""
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(5.6, 4.4), layout="constrained")
+        axes = figure.add_subplot()
+        axes.plot([0, 1], [0, 1], color="#888888", linewidth=1, linestyle=":")
+        for index, (name, judged) in enumerate(list(said.items())[:TOP]):
+            pool = Pool.of(judged)
+            c = calibration(pool.confidence, pool.right, pool.weight)
+            axes.plot(
+                c.confidence,
+                c.right,
+                marker="o",
+                markersize=3,
+                color=PALETTE[index % len(PALETTE)],
+                label=f"{name} [{c.error:.3f}]",
+            )
+        _label(axes, title, "Confidence", "Share of right boxes")
+        return _svg(figure)
+
+
+def risk_coverage(said: Said, title: str) -> str:
+    """Return the risk–coverage curves of all trackers as SVG text."""
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(5.6, 4.4), layout="constrained")
+        axes = figure.add_subplot()
+        for index, (name, judged) in enumerate(list(said.items())[:TOP]):
+            pool = Pool.of(judged)
+            coverage, risk = curve(pool.confidence, pool.right, pool.weight)
+            picked = np.linspace(0, len(coverage) - 1, min(len(coverage), POINTS)).astype(int)
+            axes.plot(coverage[picked], risk[picked], color=PALETTE[index % len(PALETTE)], label=name)
+        _label(axes, title, "Coverage: share of frames accepted", "Risk: share of these not right")
+        return _svg(figure)
+
+
+def _label(axes: Axes, title: str, x_label: str, y_label: str) -> None:
+    axes.set_title(title, fontsize=9)
+    axes.set_xlabel(x_label)
+    axes.set_ylabel(y_label)
+    axes.set_xlim(0, 1)
+    axes.set_ylim(0, 1)
+    axes.legend(loc="upper left", prop={"size": 7.5})
 
 
 def _styles(evaluations: Seq[Evaluation]) -> dict[str, tuple[str, str]]:

@@ -20,7 +20,7 @@ from .dataset import Image, Sequence
 from .metrics import Array
 from .protocol import Run
 from .score import Speed
-from .trackers import Entry, Tracker
+from .trackers import Entry, Tracker, said
 
 KEPT_BYTES = 256 * 2**20
 """Decoded frames that a process keeps for the next tracker on the same sequence."""
@@ -47,9 +47,13 @@ class Job:
 
 @dataclass
 class Outcome:
-    """Boxes ``(N, 4)`` 0-based and speed by run key, or the error that stopped the tracker."""
+    """Boxes ``(N, 4)`` 0-based and speed by run key, or the error that stopped the tracker.
+
+    ``trust`` has ``(N, 2)`` by run key of trackers that say how sure they are: confidence and index of the status.
+    """
 
     boxes: dict[str, Array] = field(default_factory=dict)
+    trust: dict[str, Array] = field(default_factory=dict)
     speeds: dict[str, Speed] = field(default_factory=dict)
     error: str | None = None
 
@@ -81,6 +85,7 @@ class _Runner:
     def run(self, job: Job) -> Outcome:
         sequence = job.sequence
         boxes = {run.key: np.full((len(sequence) - run.start, 4), np.nan) for run in job.runs}
+        trust = {run.key: np.full((len(sequence) - run.start, 2), np.nan) for run in job.runs}
         seconds = {key: np.zeros(len(rows)) for key, rows in boxes.items()}
         cpu_seconds = dict.fromkeys(boxes, 0.0)
         trackers: dict[str, Tracker] = {}
@@ -106,6 +111,8 @@ class _Runner:
                     seconds[run.key][step] = time.perf_counter() - begun
                     cpu_seconds[run.key] += time.process_time() - cpu_begun
                     boxes[run.key][step] = box
+                    if step:
+                        trust[run.key][step] = said(result, trackers[run.key])
                     unticked += 1
                 if unticked >= TICK_FRAMES:
                     self._tick(unticked)
@@ -117,7 +124,8 @@ class _Runner:
             key: Speed(len(t), float(t.sum()), float(np.mean(1.0 / np.maximum(t, 1e-9))), cpu_seconds[key])
             for key, t in seconds.items()
         }
-        return Outcome(boxes, speeds)
+        told = {key: rows for key, rows in trust.items() if np.isfinite(rows[1:, 0]).all() and len(rows) > 1}
+        return Outcome(boxes, told, speeds)
 
     def _warm_up(self, job: Job, image: Image, run: Run) -> None:
         """Compile and load what the tracker needs on such frames, so that no frame is timed with it."""

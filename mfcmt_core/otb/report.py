@@ -35,7 +35,13 @@ Results = dict[str, list[Evaluation]]
 
 
 def write_report(
-    folder: Path, dataset: Dataset, results: Results, *, command: str = "", films: Seq[Picture] = ()
+    folder: Path,
+    dataset: Dataset,
+    results: Results,
+    *,
+    command: str = "",
+    films: Seq[Picture] = (),
+    trust: Seq[Block] = (),
 ) -> None:
     """Write ``report.html`` (self-contained), ``report.md`` and its plots, ``scores.csv``, ``scores.json``.
 
@@ -44,6 +50,7 @@ def write_report(
     folder.mkdir(parents=True, exist_ok=True)
     title = f"{dataset.name}: {dataset.coverage} targets"
     blocks = _blocks(title, dataset, results, command)
+    blocks += trust
     if films:
         blocks += [Heading("Films"), *films]
     (folder / "report.md").write_text(to_markdown(blocks), encoding="utf-8")

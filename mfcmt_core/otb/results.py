@@ -1,7 +1,8 @@
 """Result files: boxes as OTB text, one file a run, and beside them what they were made with.
 
 ``<root>/OPE/<tracker>/<Sequence>.txt`` holds ``x,y,w,h`` a frame, 1-based, three decimals, as the toolkit and
-got10k read it; runs of TRE and SRE carry their key: ``David.07.txt``, ``David.topLeft.txt``.
+got10k read it; runs of TRE and SRE carry their key: ``David.07.txt``, ``David.topLeft.txt``. ``David.trust.csv``
+beside it holds ``confidence,status`` a frame, where the tracker says so.
 ``<Sequence>.json`` tells code, configuration, start and time of each run: what is named there is finished.
 """
 
@@ -13,11 +14,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .dataset import ONE_BASED, Sequence, read_boxes
 from .errors import DataError
 from .metrics import Array
 from .protocol import Run
 from .score import Speed
+from .trust import STATUSES
+
+TRUST_SUFFIX = ".trust.csv"
 
 
 @dataclass
@@ -32,7 +38,8 @@ class Record:
     def has(self, run: Run, frames: int) -> bool:
         """Whether this very run is finished."""
         wanted = {"start": run.start, "box": list(run.box), "frames": frames}
-        return wanted.items() <= self.runs.get(run.key, {}).items()
+        made = self.runs.get(run.key, {})
+        return "trust" in made and wanted.items() <= made.items()  # older ones did not keep what the tracker said
 
     @property
     def speed(self) -> Speed | None:
@@ -69,12 +76,23 @@ class ResultStore:
         """What is known of this pair; None where nothing is."""
         return read_record(self.folder(protocol, tracker) / f"{sequence}.json")
 
-    def write(self, protocol: str, tracker: str, sequence: str, record: Record, boxes: dict[str, Array]) -> None:
+    def write(
+        self,
+        protocol: str,
+        tracker: str,
+        sequence: str,
+        record: Record,
+        boxes: dict[str, Array],
+        trust: dict[str, Array],
+    ) -> None:
         """Keep new boxes by run key (0-based), then the record: a crash in between leaves runs unfinished."""
         folder = self.folder(protocol, tracker)
         folder.mkdir(parents=True, exist_ok=True)
         for key, values in boxes.items():
-            write_boxes(self.boxes_path(protocol, tracker, sequence, key), values)
+            path = self.boxes_path(protocol, tracker, sequence, key)
+            write_boxes(path, values)
+            if key in trust:
+                _write_trust(trust_path(path), trust[key])
         _replace(folder / f"{sequence}.json", json.dumps(vars(record), indent=1) + "\n")
 
 
@@ -82,6 +100,34 @@ def write_boxes(path: Path, boxes: Array) -> None:
     """Write 0-based boxes as OTB text."""
     rows = boxes + ONE_BASED
     _replace(path, "".join("{:.3f},{:.3f},{:.3f},{:.3f}\n".format(*row) for row in rows))
+
+
+def trust_path(boxes: Path) -> Path:
+    """The file beside one of boxes that holds a line ``confidence,status`` a frame."""
+    return boxes.with_name(boxes.stem + TRUST_SUFFIX)
+
+
+def _write_trust(path: Path, rows: Array) -> None:
+    names = [STATUSES[int(s)] if np.isfinite(s) else "" for s in rows[:, 1]]
+    _replace(path, "".join(f"{c:.6g},{name}\n" for c, name in zip(rows[:, 0], names, strict=True)))
+
+
+def read_trust(boxes: Path, frames: int) -> Array | None:
+    """Confidence and index of the status, (N, 2), NaN for what is unknown; None where there is no such file.
+
+    Raises DataError for a file that is none or has another number of lines.
+    """
+    path = trust_path(boxes)
+    if not path.is_file():
+        return None
+    try:
+        lines = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()]
+        rows = [(float(c), STATUSES.index(s) if s else float("nan")) for c, s in lines]
+    except (OSError, ValueError) as failed:
+        raise DataError(f"{path}: not lines of confidence,status: {failed}") from failed
+    if len(rows) != frames:
+        raise DataError(f"{path}: {len(rows)} lines for {frames} frames")
+    return np.array(rows, np.float64)
 
 
 def read_result(path: Path, sequence: Sequence, start: int = 0) -> Array:

@@ -9,14 +9,17 @@ from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
+
 from .dataset import Dataset, Sequence
 from .errors import DataError
-from .metrics import Array
+from .metrics import Array, overlap
 from .pool import plan, run_jobs
 from .protocol import PROTOCOLS, Run
-from .results import Record, ResultStore, read_result
+from .results import Record, ResultStore, read_result, read_trust
 from .score import Evaluation, score_runs
 from .trackers import Entry, ResultFolder, identity_hash
+from .trust import Judged
 
 Progress = Callable[[int, int], None]
 
@@ -103,8 +106,9 @@ def _run(
         for run in job.runs:
             if run.key in outcome.speeds:
                 speed = asdict(outcome.speeds[run.key])
-                record.runs[run.key] = {"start": run.start, "box": list(run.box), **speed}
-        store.write(protocol, job.entry.name, job.sequence.name, record, outcome.boxes)
+                asked = run.key in outcome.trust
+                record.runs[run.key] = {"start": run.start, "box": list(run.box), "trust": asked, **speed}
+        store.write(protocol, job.entry.name, job.sequence.name, record, outcome.boxes, outcome.trust)
 
 
 def _scored(dataset: Dataset, folder: ResultFolder, protocol: str, runs: dict[str, list[Run]]) -> Evaluation:
@@ -122,6 +126,34 @@ def _scored(dataset: Dataset, folder: ResultFolder, protocol: str, runs: dict[st
         except DataError as absent:
             evaluation.missing[sequence.name] = str(absent)
     return evaluation
+
+
+def judged(tracker: Entry | ResultFolder, dataset: Dataset, protocol: str, results: Path) -> list[Judged]:
+    """What a tracker said of its finished runs, by sequence; without the first frames, whose boxes are given.
+
+    Sequences for which it said nothing are left out. Frames without a usable annotation count as absent where the
+    data set leaves them out of its scores, and not at all elsewhere.
+    """
+    folder = result_folder(tracker, protocol, results)
+    found = []
+    for sequence in dataset:
+        parts = []
+        for run in PROTOCOLS[protocol](sequence):
+            try:
+                path = folder.find(sequence.name, run.key)
+                said = read_trust(path, len(sequence) - run.start)
+            except DataError:
+                continue
+            if said is None:
+                continue
+            boxes, valid = read_result(path, sequence, run.start), sequence.valid[run.start :]
+            overlaps = np.where(valid, overlap(boxes, sequence.boxes[run.start :]), np.nan)
+            rows = np.column_stack([overlaps, said])[1:]
+            parts.append(rows if sequence.skip_invalid else rows[valid[1:]])
+        if parts and sum(map(len, parts)):
+            rows = np.concatenate(parts)
+            found.append(Judged(sequence.name, rows[:, 0], rows[:, 1], rows[:, 2]))
+    return found
 
 
 def boxes_of(tracker: Entry | ResultFolder, sequence: Sequence, results: Path) -> Array:

@@ -20,12 +20,14 @@ from .dataset import read_boxes
 from .errors import DataError
 from .results import Record, read_record
 from .score import Speed
+from .trust import STATUSES
 
 
 class Tracker(Protocol):
     """What the runner asks of a tracker: boxes are x, y, w, h, 0-based; images are BGR.
 
-    ``update`` returns a box or something with a ``box``.
+    ``update`` returns a box or something with a ``box``. A tracker that knows how sure it is has a number
+    ``confidence``, and perhaps a ``status``, on that or on itself.
     """
 
     def init(self, image: Image, box: Iterable[float]) -> Any:
@@ -33,6 +35,19 @@ class Tracker(Protocol):
 
     def update(self, image: Image) -> Any:
         """Find the target in the next frame."""
+
+
+def said(result: Any, tracker: Tracker) -> tuple[float, float]:
+    """How sure a tracker is of its last result, and the index of its status; NaN for what it does not say.
+
+    Both are looked for as ``confidence`` and ``status`` on the result, then on the tracker.
+    """
+    confidence = getattr(result, "confidence", getattr(tracker, "confidence", None))
+    status = getattr(result, "status", getattr(tracker, "status", None))
+    return (
+        float("nan") if confidence is None else float(confidence),
+        float(STATUSES.index(status)) if status in STATUSES else float("nan"),
+    )
 
 
 class Entry(Protocol):

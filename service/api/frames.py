@@ -77,6 +77,7 @@ async def post_frame(
         result, _, stages = await session.track(frame)
     finally:
         session.http_waiting -= 1
+    service.metrics.targets(result["targets"])
     service.metrics.frame(stages, session.id, frame.seq, request.scope["state"].get("span"), live=True)
     return answer(result)
 

@@ -35,6 +35,8 @@ def from_row(row: Row) -> TrackResult:
     """Return the result that :func:`to_row` wrote, now or in an earlier version."""
     values = dict(zip(ROW_FIELDS, complete(row), strict=True))
     del values["id"]
+    if values["confidence"] is None:  # an earlier version kept the row; nothing reads it from there
+        del values["confidence"]
     flags, scores = values["flags"], values["scores"]
     x, y, w, h = values["box"]
     return TrackResult(

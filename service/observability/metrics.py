@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
-from ..protocol.enums import CloseCode, EndReason, LaneLoss, Preset
+from ..protocol.enums import CloseCode, EndReason, LaneLoss, Preset, Status
 from ..protocol.problems import CATALOGUE
 from ..sessions.byte_budget import ByteBudget
 from .lag import Lag
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 
 SECONDS = (0.0005, 0.001, 0.002, 0.003, 0.005, 0.0075, 0.01, 0.02, 0.03, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5)
+CONFIDENCES = tuple(tenth / 10 for tenth in range(1, 11))
 SIZES = tuple(2**n for n in range(16, 27))
 # What the front does itself takes tens of microseconds, until something is wrong.
 SHORT_SECONDS = (0.00005, 0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.05, 0.25, 1.0)
@@ -87,6 +88,15 @@ class Metrics:
         self.transit_seconds = seconds("mfcmt_frame_transit_seconds", "To the lane and back, its queue included")
         self.decode_seconds = seconds("mfcmt_frame_decode_seconds", "Decoding of a frame")
         self.track_seconds = seconds("mfcmt_frame_track_seconds", "Tracking of all targets in a frame")
+        self.target_confidence = Histogram(
+            "mfcmt_target_confidence",
+            "Confidence of each target in each frame",
+            buckets=CONFIDENCES,
+            registry=self.registry,
+        )
+        self.target_results = counter(
+            "mfcmt_target_results_total", "Targets in tracked frames by their status", status=Status
+        )
         self.send_seconds = seconds(
             "mfcmt_frame_send_seconds", "Writing a stream's result to its socket", SHORT_SECONDS
         )
@@ -148,6 +158,12 @@ class Metrics:
         self.recoveries.labels(cause=cause).inc()
         self.replayed.inc(operations)
         self.recovery_seconds.observe(seconds)
+
+    def targets(self, targets: Iterable[Mapping[str, Any]]) -> None:
+        """Count the targets of one result."""
+        for target in targets:
+            self.target_confidence.observe(target["confidence"])
+            self.target_results.labels(target["status"]).inc()
 
     def frame(
         self, stages: Stages, session: str, seq: int, within: Span | None, *, live: bool, sent_s: float = 0.0

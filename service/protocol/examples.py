@@ -22,6 +22,7 @@ STARTED = {
     "psr": None,
     "updated": True,
     "scale": 1.0,
+    "confidence": 1.0,
 }
 TARGET = STARTED | {
     "box": [201.4, 213.2, 34.7, 82.6],
@@ -30,6 +31,7 @@ TARGET = STARTED | {
     "scores": {"fused": 1.04, "template": 1.02, "statistical": 0.97},
     "psr": 14.2,
     "scale": 1.02,
+    "confidence": 0.93,
 }
 SESSION = {
     "id": SESSION_ID,

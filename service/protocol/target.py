@@ -52,14 +52,14 @@ class Target:
     box: Box = field(metadata={**BOX_SAID, "description": f"{BOX_SAID['description']}; the last known one while lost"})
     status: Status = field(
         metadata={
-            "description": "`tracking`, `uncertain` (a reliability test failed in this frame) or `lost` (not found for"
-            " long enough; the search goes on)"
+            "description": "`tracking`, `uncertain` or `lost` (not found for long enough; the search goes on): by the"
+            " confidence, with the preset `paper` by the three tests"
         }
     )
     reliable: bool | None = field(
         metadata={
-            "description": "all three flags; null on the frame that started or corrected the target, as are `flags`,"
-            " `scores` and `psr`"
+            "description": "all three flags, and the status is `tracking`; null on the frame that started or corrected"
+            " the target, as are `flags`, `scores` and `psr`"
         }
     )
     flags: Flags | None = field(
@@ -74,6 +74,15 @@ class Target:
     updated: bool = field(metadata={"description": "whether the models learned from this frame"})
     scale: float = field(metadata={"gt": 0, "description": "size relative to the box given"})
     # What is added goes here, with a default.
+    confidence: float | None = field(
+        default=None,
+        metadata={
+            "ge": 0,
+            "le": 1,
+            "description": "probability that the box overlaps the target by more than half: the number to act on; null"
+            " only in results that an older version kept",
+        },
+    )
     maps: Mapping[str, bytes] | None = field(
         default=None,
         metadata={

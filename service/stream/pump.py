@@ -79,6 +79,7 @@ class Pump:
             result, refusals, stages = await session.track(job.frame, controls=commands)
         except ProblemError as problem:
             return replies.errors(problem, job.frame.seq if job.frame else None, job.controls), None
+        self._metrics.targets(result["targets"])
         result["dropped"] = self._queue.take_dropped()
         messages = []
         for control, refused in zip(job.controls, refusals, strict=True):

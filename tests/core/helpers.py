@@ -30,9 +30,10 @@ def assert_sane(result: TrackResult, frame_size: tuple[int, int]) -> None:
     assert -1e-6 <= y + h / 2 <= frame_size[1] + 1e-6
     assert np.isfinite([result.psr, result.scores.fused, result.scores.template, result.scores.statistical]).all()
     assert result.flags is not None
-    assert result.updated == result.reliable
+    assert result.updated or not result.reliable
     assert not result.reliable or (result.flags.fused and result.flags.template and result.flags.statistical)
-    assert (result.status == "tracking") == result.reliable
+    assert result.status == "tracking" or not result.reliable
+    assert 0 <= result.confidence <= 1
     assert all(type(v) is float for v in (*result.box, result.scale, result.psr))
 
 

@@ -73,6 +73,7 @@ def test_csv_is_the_default_and_equals_the_library(folder, box, truth):
         assert row["status"] == result.status
         assert row["updated"] == str(result.updated).lower()
         assert float(row["scale"]) == pytest.approx(result.scale)
+        assert float(row["confidence"]) == pytest.approx(result.confidence)
         if result.scores:
             assert float(row["template"]) == pytest.approx(result.scores.template)
             assert row["reliable"] == str(result.reliable).lower()
@@ -99,6 +100,7 @@ def test_json_lines_carry_the_whole_result(folder, box, truth):
             "psr",
             "updated",
             "scale",
+            "confidence",
         }
         if result.flags and result.scores:
             assert line["flags"]["statistical"] == result.flags.statistical
@@ -119,7 +121,7 @@ def test_mot_lines_are_one_based_and_have_a_confidence(folder, box, truth):
     assert rows[:, 0].tolist() == list(range(1, LENGTH + 1))
     assert (rows[:, 1] == 1).all()
     assert rows[:, 2:6] == pytest.approx(one_based(truth), abs=6e-4)
-    assert rows[:, 6].tolist() == [float(r.reliable is not False) for r in truth]
+    assert rows[:, 6] == pytest.approx([r.confidence for r in truth], abs=6e-5)
     assert (rows[:, 7:] == -1).all()
 
 

@@ -24,7 +24,7 @@ def after(history, config=PAPER) -> Reliability:
 
 def judge_frame(judge, peaks):
     peaks = Peaks(*peaks)
-    verdict = judge.judge(peaks)
+    verdict = judge.judge(peaks, 1.0)
     if verdict.reliable:
         judge.record_learned(peaks)
     return verdict

@@ -168,7 +168,7 @@ def test_a_target_is_found_again_elsewhere(config, place):
 
 def test_colors_alone_find_a_lost_target():
     green = np.full((240, 320, 3), (40, 120, 40), np.uint8)
-    config = ALERT.replace(features=(), num_scales=1, lost_after=3)
+    config = ALERT.replace(features=(), num_scales=1, lost_after=3, tracking_threshold=0.0)
 
     def frame(x, y):
         image = green.copy()
@@ -265,8 +265,10 @@ def test_a_change_to_another_scene_is_not_learned(frames, clip):
     for frame in frames[1:12]:
         assert tracker.update(frame).updated
     result = tracker.update(noise)
-    assert (result.status, result.updated) == ("uncertain", False)
-    assert result.scale == tracker.update(noise).scale
+    assert (result.reliable, result.updated) == (False, False)
+    after = tracker.update(noise)
+    assert (after.status, after.updated) == ("uncertain", False)
+    assert result.scale == after.scale
 
 
 def test_a_recentered_window_is_learned_without_observing_it_again(frames, clip, monkeypatch):

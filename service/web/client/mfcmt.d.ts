@@ -63,11 +63,14 @@ export interface Target {
    */
   box: Box;
   /**
-   * `tracking`, `uncertain` (a reliability test failed in this frame) or `lost` (not found for long enough; the search
-   * goes on).
+   * `tracking`, `uncertain` or `lost` (not found for long enough; the search goes on): by the confidence, with the
+   * preset `paper` by the three tests.
    */
   status: TargetStatus;
-  /** All three flags; null on the frame that started or corrected the target, as are `flags`, `scores` and `psr`. */
+  /**
+   * All three flags, and the status is `tracking`; null on the frame that started or corrected the target, as are
+   * `flags`, `scores` and `psr`.
+   */
   reliable: boolean | null;
   /** `{fused, template, statistical}`: the three tests of section III-C. */
   flags: Flags | null;
@@ -79,7 +82,12 @@ export interface Target {
   updated: boolean;
   /** Size relative to the box given. */
   scale: number;
-  /** Response maps as gray PNG, base64 in JSON, where `maps` was asked for. */
+  /**
+   * Probability that the box overlaps the target by more than half: the number to act on; null only in results that an
+   * older version kept.
+   */
+  confidence: number | null;
+  /** Response maps as grey PNG, base64 in JSON, where `maps` was asked for. */
   maps?: Record<string, Uint8Array<ArrayBuffer>> | null;
 }
 

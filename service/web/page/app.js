@@ -245,7 +245,7 @@ export class App {
     const numbered = { ...result, seq: result.seq + this.#base };
     const changes = this.history.note(numbered, ids, this.#shownTime, this.source.size);
     for (const { id, from, to, time } of changes) {
-      log.add(this.clock(time), `Target ${id}`, from ? to : "started", to);
+      log.add(this.clock(time), `Target ${id}`, from ? to : to === "tracking" ? "started" : "started; the box shows nothing to follow", to);
       if (from) announce(`Target ${id} ${to}`);
     }
     this.#panels(changes.length > 0);

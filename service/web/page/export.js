@@ -1,13 +1,13 @@
 // Export boxes as a file, in pixels of the source: 0-based, from the top-left corner.
 
-const COLUMNS = ["frame", "time_s", "target", "x", "y", "w", "h", "status", "reliable", "fused", "template", "statistical", "psr", "scale"];
+const COLUMNS = ["frame", "time_s", "target", "x", "y", "w", "h", "status", "reliable", "fused", "template", "statistical", "psr", "scale", "confidence"];
 
 /** CSV of the history's `frames`. */
 export function toCsv(frames) {
   const lines = frames.flatMap(({ seq, time, size, rows }) =>
-    rows.map(({ target, box, status, reliable, scores, psr, scale }) => {
+    rows.map(({ target, box, status, reliable, scores, psr, scale, confidence }) => {
       const { fused, template, statistical } = scores ?? {};
-      const cells = [seq, seconds(time), target, ...pixels(box, size), status, reliable, fused, template, statistical, psr, scale];
+      const cells = [seq, seconds(time), target, ...pixels(box, size), status, reliable, fused, template, statistical, psr, scale, confidence];
       return cells.map(cell).join(",");
     }),
   );

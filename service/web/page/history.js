@@ -35,12 +35,12 @@ export class History {
       const id = ids[i];
       const known = this.targets.get(id) ?? { id, status: null, trail: [], samples: [] };
       if (known.status !== target.status) changes.push({ id, from: known.status, to: target.status, seq, time });
-      Object.assign(known, { status: target.status, box, maps: target.maps ?? null });
+      Object.assign(known, { status: target.status, confidence: target.confidence, box, maps: target.maps ?? null });
       push(known.trail, [box[0] + box[2] / 2, box[1] + box[3] / 2], KEPT);
-      push(known.samples, { scores: target.scores, flags: target.flags, psr: target.psr, status: target.status }, KEPT);
+      const { status, reliable, confidence, scores, flags, psr, scale } = target;
+      push(known.samples, { confidence, scores, flags, psr, status }, KEPT);
       this.targets.set(id, known);
-      const { status, reliable, scores, psr, scale } = target;
-      return { target: id, box, status, reliable, scores, psr, scale };
+      return { target: id, box, status, reliable, scores, psr, scale, confidence };
     });
     for (const id of this.targets.keys()) if (!ids.includes(id)) this.targets.delete(id);
     this.#keep({ seq, time, size: of, rows });

@@ -16,11 +16,13 @@ export function paint(context, rect, scene, unit = 1) {
     const colour = COLOURS[target.status];
     if (scene.trail) drawTrail(context, rect, target.trail, colour, unit);
     drawBox(context, place(target.box, rect), colour, DASHES[target.status], target.id === scene.chosen ? 2.5 : 1.75, unit);
-    drawLabel(context, place(target.box, rect), rect, `${target.id}${WORDS[target.status]}`, colour, unit);
+    drawLabel(context, place(target.box, rect), rect, `${target.id}${WORDS[target.status]}${percent(target.confidence)}`, colour, unit);
   }
   if (scene.suggestion) drawBox(context, place(scene.suggestion, rect), "#ffffff", [5, 5], 1.75, unit);
   if (scene.draft) drawDraft(context, place(scene.draft, rect), rect, unit);
 }
+
+const percent = (confidence) => (confidence == null ? "" : ` ${Math.round(100 * confidence)}%`);
 
 export const place = ([x, y, w, h], rect) => [rect.x + x * rect.w, rect.y + y * rect.h, w * rect.w, h * rect.h];
 

@@ -33,8 +33,13 @@ def test_scores_published_boxes(
 def test_runs_reports_and_films(otb_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["eval", "--data", str(otb_root), "--results", str(tmp_path / "results"), "--jobs", "1"]
     command += ["--sequences", "Deer", "--trackers", "default,paper", "--report", str(tmp_path / "report")]
+    command += ["--trust"]
     assert main([*command, "--film", "Deer"]) == 0
     captured = capsys.readouterr()
+    assert "| tracker | AUROC | caught at 5% | calibration error | targets |" in captured.out
+    assert "| tracker | right: tracking | right: uncertain | right: lost |" in captured.out
+    for plot in ("reliability", "risk"):
+        assert "<svg" in (tmp_path / "report" / f"ope_{plot}.svg").read_text()
     assert captured.err == ""  # no progress bar where there is no terminal
     assert (tmp_path / "results" / "OPE" / "default" / "Deer.txt").read_text().startswith("306.000,5.000,")
     assert (tmp_path / "report" / "film_Deer.jpg").stat().st_size > 10_000

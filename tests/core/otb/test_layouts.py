@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from mfcmt_core.otb import DataError, open_dataset, score
 from mfcmt_core.otb.layouts import detect
+from mfcmt_core.otb.video import read_video_frame
 
 from .test_dataset import images, truth
 
@@ -81,3 +83,35 @@ def test_what_cannot_be_used_is_named(tmp_path: Path) -> None:
 
 def test_otb_is_recognised(annotations: Path, otb_root: Path) -> None:
     assert detect(annotations) == detect(otb_root) == "otb"
+
+
+def film(path: Path, frames: int) -> None:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25, (64, 48))
+    for k in range(frames):
+        writer.write(np.full((48, 64, 3), 20 * k, np.uint8))
+    writer.release()
+
+
+def test_videos_with_their_truth_beside(tmp_path: Path) -> None:
+    film(tmp_path / "VOT-ball.avi", 6)
+    (tmp_path / "VOT-ball.txt").write_text("10,20,30,40\n" * 3 + "nan,nan,nan,nan\n" + "10,20,30,40\n" * 2)
+    film(tmp_path / "without.avi", 2)
+    (tmp_path / "README.txt").write_text("no boxes")
+    dataset = open_dataset(tmp_path)
+    assert (detect(tmp_path), list(dataset.sequences)) == ("videos", ["VOT-ball"])
+    ball = dataset["VOT-ball"]
+    assert (ball.source, ball.is_video, len(ball)) == ("VOT", True, 6)
+    assert ball.boxes[0].tolist() == [10, 20, 30, 40]
+    assert ball.valid.tolist() == [True] * 3 + [False] + [True] * 2
+    assert ball.image_size == (64, 48)
+    for index in (0, 1, 4, 2, 5):  # in order, ahead and back
+        assert ball.read(index).mean() == pytest.approx(20 * index, abs=2)
+    with pytest.raises(DataError, match=r"VOT-ball\.avi: frame 6 cannot be read"):
+        read_video_frame(tmp_path / "VOT-ball.avi", 6)
+
+
+def test_a_video_shorter_than_its_truth_is_named(tmp_path: Path) -> None:
+    film(tmp_path / "short.avi", 3)
+    (tmp_path / "short.txt").write_text("10,20,30,40\n" * 5)
+    with pytest.raises(DataError, match=r"short\.avi: frame 4 cannot be read"):
+        open_dataset(tmp_path)["short"].read(4)

@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 from mfcmt_core.geometry import Image
-from mfcmt_core.otb import Dataset, ResultFolder, ResultStore, evaluate, open_otb
+from mfcmt_core.otb import DataError, Dataset, ResultFolder, ResultStore, evaluate, open_otb
+from mfcmt_core.otb.results import read_trust, trust_path
+from mfcmt_core.otb.runner import judged
 
 
 class Still:
@@ -146,3 +148,53 @@ def test_scores_of_a_still_tracker_are_what_the_truth_says(three: Dataset) -> No
     assert result.fps is not None
     assert result.mean_rate is not None
     assert result.mean_rate >= result.fps * 0.5
+
+
+@dataclass(frozen=True)
+class Sure:
+    """A box with what the tracker thinks of it."""
+
+    box: tuple[float, ...]
+    confidence: float
+    status: str
+
+
+class Boasting(Still):
+    """Stays where it began and is sure of it; counts its frames in the confidence."""
+
+    def init(self, image: Image, box: Iterable[float]) -> None:
+        super().init(image, box)
+        self._frames = 0
+
+    def update(self, image: Image) -> Any:
+        self._frames += 1
+        return Sure(super().update(image), 1 / self._frames, "tracking")
+
+
+@dataclass(frozen=True)
+class Boaster(Made):
+    def make(self) -> Still:
+        return Boasting(0, "")
+
+
+def test_what_a_tracker_says_of_its_boxes_is_kept(three: Dataset, tmp_path: Path) -> None:
+    evaluate(three, [Boaster("boaster"), Made("still")], results=tmp_path, jobs=1)
+    said = judged(Boaster("boaster"), three, "OPE", tmp_path)
+    assert [j.name for j in said] == [s.name for s in three]
+    for j, sequence in zip(said, three, strict=True):
+        assert len(j.overlap) == sequence.valid.sum() - 1  # the first box is given
+        assert j.confidence[:3] == pytest.approx([1, 1 / 2, 1 / 3], rel=1e-5)
+        assert (j.status == 0).all()
+    assert judged(Made("still"), three, "OPE", tmp_path) == []
+
+
+def test_a_file_of_confidences_that_is_broken_is_named(three: Dataset, tmp_path: Path) -> None:
+    evaluate(three, [Boaster("boaster")], results=tmp_path, jobs=1)
+    sequence = next(iter(three))
+    path = tmp_path / "OPE" / "boaster" / f"{sequence.name}.txt"
+    trust_path(path).write_text("0.5,sure\n")
+    with pytest.raises(DataError, match=r"\.trust\.csv: not lines of confidence,status"):
+        read_trust(path, 1)
+    trust_path(path).write_text("0.5,tracking\n")
+    with pytest.raises(DataError, match="1 lines for 2 frames"):
+        read_trust(path, 2)

@@ -22,7 +22,7 @@ from service.sessions.trajectory import TrajectoryEntry, TrajectoryLog, unpacked
 from service.sessions.ttl_cache import TTLCache
 from service.stream.frame_queue import FrameQueue
 
-ROW = [0, [1.0, 2.0, 3.0, 4.0], "tracking", True, None, None, 12.5, True, 1.0]
+ROW = [0, [1.0, 2.0, 3.0, 4.0], "tracking", True, None, None, 12.5, True, 1.0, 0.9]
 
 
 def test_who_has_used_least_time_is_next() -> None:

@@ -23,7 +23,7 @@ from service.sessions.registry import SessionRegistry
 from service.sessions.session import Session
 from service.settings import Settings
 
-ROW = [0, [1.0, 2.0, 3.0, 4.0], "tracking", None, None, None, None, True, 1.0]
+ROW = [0, [1.0, 2.0, 3.0, 4.0], "tracking", None, None, None, None, True, 1.0, 0.9]
 STATE = {"seq": 0, "size": [64, 48], "region": None, "rows": [ROW], "target": 0, "decode_s": 0.001, "track_s": 0.001}
 
 
