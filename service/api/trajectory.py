@@ -18,7 +18,7 @@ from ..protocol.documents import to_json
 from ..protocol.enums import ProblemCode, Status, TrajectoryFormat
 from ..protocol.examples import TRAJECTORY_TEXT
 from ..protocol.problems import ProblemError
-from ..protocol.target import rows_to_maps
+from ..protocol.target import ROW_FIELDS, rows_to_maps
 from ..protocol.values import MAX_SEQ
 from ..service import Service
 from ..sessions.session import Session
@@ -31,8 +31,10 @@ router = APIRouter(tags=["trajectory"])
 Packed = list[tuple[int, bytes]]
 # Targets, and one more for each frame, that are encoded between two turns of the event loop: well under a millisecond.
 ROWS_AT_ONCE = 24
-CSV_HEAD = "seq,ts,target,x,y,w,h,status,reliable,scale\n"
-CONFIDENCE = {Status.TRACKING: "1", Status.UNCERTAIN: "0.5", Status.LOST: "0"}
+CSV_HEAD = "seq,ts,target,x,y,w,h,status,reliable,scale,confidence\n"
+BY_STATUS = {Status.TRACKING: 1.0, Status.UNCERTAIN: 0.5, Status.LOST: 0.0}
+"""The confidence of MOT for results that an older version kept."""
+_CONFIDENCE = ROW_FIELDS.index("confidence")
 
 
 @router.get(
@@ -155,9 +157,14 @@ def _csv(entries: Iterator[TrajectoryEntry], target: int | None) -> Iterator[byt
 
 
 def _csv_line(entry: TrajectoryEntry, row: list[Any]) -> str:
-    tid, (x, y, w, h), status, reliable, *_, scale = row
-    verdict = "" if reliable is None else str(reliable).lower()
-    return f"{entry.seq},{_quoted(entry.ts)},{tid},{x!r},{y!r},{w!r},{h!r},{status},{verdict},{scale!r}\n"
+    target = dict(zip(ROW_FIELDS, row, strict=True))
+    x, y, w, h = target["box"]
+    verdict = "" if target["reliable"] is None else str(target["reliable"]).lower()
+    confidence = "" if target["confidence"] is None else repr(target["confidence"])
+    return (
+        f"{entry.seq},{_quoted(entry.ts)},{target['id']},{x!r},{y!r},{w!r},{h!r},{target['status']},{verdict},"
+        f"{target['scale']!r},{confidence}\n"
+    )
 
 
 def _otb(entries: Iterator[TrajectoryEntry], target: int | None) -> Iterator[bytes]:
@@ -174,7 +181,10 @@ def _mot(entries: Iterator[TrajectoryEntry], target: int | None) -> Iterator[byt
 def _mot_line(entry: TrajectoryEntry, row: list[Any]) -> str:
     tid, (x, y, w, h), status, *_ = row
     box = f"{x + 1!r},{y + 1!r},{w!r},{h!r}"
-    return f"{entry.seq + 1},{tid + 1},{box},{CONFIDENCE[status]},-1,-1,-1\n"
+    confidence = row[_CONFIDENCE]
+    if confidence is None:
+        confidence = BY_STATUS[status]
+    return f"{entry.seq + 1},{tid + 1},{box},{confidence!r},-1,-1,-1\n"
 
 
 _LINES = {TrajectoryFormat.CSV: _csv, TrajectoryFormat.OTB: _otb, TrajectoryFormat.MOT: _mot}

@@ -63,9 +63,10 @@ TRAJECTORY = {
     "results": [{name: RESULT[name] for name in ("seq", "ts", "size", "region", "targets")}],
 }
 TRAJECTORY_TEXT = {
-    "csv": "seq,ts,target,x,y,w,h,status,reliable,scale\n17,1712.5,0,201.4,213.2,34.7,82.6,tracking,true,1.02\n",
+    "csv": "seq,ts,target,x,y,w,h,status,reliable,scale,confidence\n"
+    "17,1712.5,0,201.4,213.2,34.7,82.6,tracking,true,1.02,0.93\n",
     "otb": "202.4,214.2,34.7,82.6\n",
-    "mot": "18,1,202.4,214.2,34.7,82.6,1,-1,-1,-1\n",
+    "mot": "18,1,202.4,214.2,34.7,82.6,0.93,-1,-1,-1\n",
 }
 CREATE = {"frame": "/9j/4AAQSkZJRg==", "box": BOX, "options": {"preset": "default", "label": "court 3"}}
 METRICS = "# TYPE mfcmt_sessions_active gauge\nmfcmt_sessions_active 3.0\n"

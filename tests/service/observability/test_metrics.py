@@ -65,6 +65,9 @@ def test_every_stage_of_every_frame_is_counted(own_server: Any, clip: Clip, via:
     assert grown("mfcmt_frame_bytes_total") == sum(map(len, frames))
     assert {grown(f"mfcmt_frame_{stage}_seconds_count") for stage in (*STAGES, "total")} == {20}
     assert grown("mfcmt_frame_send_seconds_count") == (20 if via == "stream" else 0)
+    assert grown("mfcmt_target_confidence_count") == grown("mfcmt_target_results_total", status="tracking") == 20
+    said = sum(result.targets[0].confidence for result in results)
+    assert grown("mfcmt_target_confidence_sum") == pytest.approx(said, abs=1e-6)
     parts = sum(grown(f"mfcmt_frame_{stage}_seconds_sum") for stage in STAGES)
     assert parts == pytest.approx(grown("mfcmt_frame_total_seconds_sum"))
     shown = sum(result.timing.queue_ms + result.timing.decode_ms + result.timing.track_ms for result in results)
