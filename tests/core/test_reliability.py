@@ -137,3 +137,61 @@ def test_long_term_means_count_learned_frames_only():
     assert judge.long_term_means == pytest.approx((1, 1))
     judge_frame(judge, (1, 2.0, 1.5))
     assert judge.long_term_means == pytest.approx((1.1, 1.05))
+
+
+# --- status by confidence ---
+
+BY_CONFIDENCE = MFCMTConfig.default().replace(
+    tracking_threshold=0.5, hysteresis=0.1, lost_threshold=0.2, lost_after=3, usual_threshold=0.0
+)
+
+
+def statuses(confidences, config=BY_CONFIDENCE):
+    """Return the verdicts on frames with these confidences, whose peaks are all alike."""
+    reliability = Reliability(config)
+    return [reliability.judge(Peaks(1, 1, 1), confidence) for confidence in confidences]
+
+
+def test_the_status_follows_from_the_confidence():
+    verdicts = statuses([0.9, 0.5, 0.49, 0.3])
+    assert [v.status for v in verdicts] == ["tracking", "tracking", "uncertain", "uncertain"]
+    assert [v.reliable for v in verdicts] == [True, True, False, False]
+    assert all(v.learnable for v in verdicts)  # the three tests decide over that
+
+
+def test_it_takes_more_confidence_to_come_back_to_tracking():
+    assert [v.status for v in statuses([0.4, 0.55, 0.6, 0.5])] == ["uncertain", "uncertain", "tracking", "tracking"]
+
+
+def test_a_target_is_lost_after_enough_frames_of_low_confidence_in_a_row():
+    verdicts = statuses([0.1, 0.1, 0.2, 0.1, 0.1, 0.1, 0.55])
+    assert [v.status for v in verdicts] == ["uncertain"] * 5 + ["lost"] * 2
+    assert not any(v.learnable for v in verdicts[-2:])
+
+
+def test_the_confidence_in_the_old_box_of_a_lost_target_is_low():
+    """The candidate may look well; it was not taken."""
+    assert statuses([0.1, 0.1, 0.1, 0.55])[-1].confidence == 0.2
+
+
+def test_a_lost_target_is_found_at_the_confidence_that_tracking_takes():
+    verdicts = statuses([0.1, 0.1, 0.1, 0.6])
+    assert (verdicts[-1].status, verdicts[-1].confidence, verdicts[-1].reliable) == ("tracking", 0.6, True)
+
+
+def test_a_frame_that_fails_a_test_is_not_reliable_however_confident():
+    reliability = Reliability(BY_CONFIDENCE)
+    reliability.judge(Peaks(1, 1, 1), 0.9)
+    verdict = reliability.judge(Peaks(1, 0.1, 1), 0.9)
+    assert (verdict.status, verdict.reliable, verdict.learnable) == ("tracking", False, False)
+
+
+def test_learning_can_ask_for_confidence():
+    config = BY_CONFIDENCE.replace(learn_threshold=0.3)
+    assert [v.learnable for v in statuses([0.9, 0.3, 0.29], config)] == [True, True, False]
+
+
+def test_a_start_on_nothing_is_uncertain():
+    assert Reliability(BY_CONFIDENCE).start(0.1) == "uncertain"
+    assert Reliability(BY_CONFIDENCE).start(1.0) == "tracking"
+    assert Reliability(PAPER).start(0.1) == "tracking"

@@ -32,7 +32,7 @@ def test_every_setting_is_in_the_guide_and_no_other() -> None:
 def test_labels_take_their_values_from_closed_sets() -> None:
     groups = re.findall(r"(?:counter|gauge) by (.*?) \|", TABLES["metrics"]())
     named = {label.strip("`") for group in groups for label in group.split(", ")}
-    assert named <= {"code", "reason", "cause", "preset", "via", "lane", "version", "opencv", "numpy", "what"}
+    assert named <= {"code", "reason", "cause", "preset", "via", "status", "lane", "version", "opencv", "numpy", "what"}
 
 
 def test_every_problem_that_an_operator_causes_is_explained() -> None:

@@ -87,7 +87,7 @@ export interface Target {
    * older version kept.
    */
   confidence: number | null;
-  /** Response maps as grey PNG, base64 in JSON, where `maps` was asked for. */
+  /** Response maps as gray PNG, base64 in JSON, where `maps` was asked for. */
   maps?: Record<string, Uint8Array<ArrayBuffer>> | null;
 }
 
