@@ -1,13 +1,13 @@
 #!/bin/sh
 # Track a box through a folder of JPEG frames with curl alone: track.sh FOLDER x,y,w,h > boxes.csv
-# SERVICE is the service's URL, KEY an API key where it wants one.
+# SERVICE is the service's URL, KEY an API key, if it needs one.
 set -eu
 service=${SERVICE:-http://127.0.0.1:8000}
 folder=${1:?track.sh FOLDER x,y,w,h} box=${2:?track.sh FOLDER x,y,w,h}
 call() { curl --silent --show-error --fail-with-body ${KEY:+-H "Authorization: Bearer $KEY"} "$@"; }
 fail() { echo "$1" >&2; exit 1; }
 
-# Frames in the order of their numbers: 2.jpg before 10.jpg.
+# Sort the frames by the numbers in their names: 2.jpg before 10.jpg.
 frames=$(for frame in "$folder"/*.jpg; do [ ! -e "$frame" ] || echo "$frame"; done | sort -V)
 [ "$frames" ] || fail "no .jpg in $folder"
 first=$(echo "$frames" | head -n 1)

@@ -22,7 +22,7 @@ JPEG_QUALITY = 80
 
 
 def frames(video: cv2.VideoCapture) -> Iterator[np.ndarray]:
-    """What is left of the video."""
+    """Yield the remaining frames of the video."""
     while True:
         there, frame = video.read()
         if not there:
@@ -31,7 +31,7 @@ def frames(video: cv2.VideoCapture) -> Iterator[np.ndarray]:
 
 
 def encode(frame: np.ndarray, region: Region | None) -> bytes:
-    """The part of the frame that the trackers need, as JPEG: less to send and to decode."""
+    """Return the region of the frame that the trackers need, as JPEG: less to send and to decode."""
     if region is not None:
         x, y, w, h = region
         frame = frame[y : y + h, x : x + w]
