@@ -9,8 +9,10 @@ PEERS := .venv-peers/.installed
 DATA ?= $(or $(MFCMT_OTB_ROOT),../shared/data/otb)
 PUBLISHED ?= $(wildcard $(dir $(DATA:/=))published)
 PROTOCOL ?= ope,tre,sre
+# Tests start hundreds of processes. Where Python is told to keep no bytecode, theirs is kept in .venv, not in the sources.
+BYTECODE := $(if $(PYTHONDONTWRITEBYTECODE),env -u PYTHONDONTWRITEBYTECODE PYTHONPYCACHEPREFIX="$(CURDIR)/$(VENV)/bytecode")
 # The tests of a file share its servers, so they run in one process. TESTS="-n 0" runs all in this one.
-PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+PYTEST := $(BYTECODE) $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 LOCK := uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q -U
 
 .PHONY: help setup warmup serve demo test test-fast test-docker fresh lint lock bench peers bench-peers eval reproduce guide clean
