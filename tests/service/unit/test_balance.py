@@ -26,7 +26,7 @@ def pool_of(lanes: int, places: int = 4) -> LanePool:
     return pool
 
 
-def test_lately_is_the_part_of_the_last_seconds() -> None:
+def test_recent_usage_is_share_of_the_last_seconds() -> None:
     usage = RecentUsage(0.0)
     for second in range(1, 31):
         usage.add("busy", 0.9)
@@ -67,11 +67,11 @@ def test_a_key_moves_from_a_full_lane_to_an_idle_one() -> None:
         ([{"a": 0.5, "b": 0.5}], [0]),
     ],
 )
-def test_nothing_moves_where_nothing_is_gained(parts: list[dict[str, float]], room: list[int]) -> None:
+def test_no_session_moves_without_gain(parts: list[dict[str, float]], room: list[int]) -> None:
     assert Rebalancer().choose(parts, room, 0.0) is None
 
 
-def test_nothing_goes_back_and_forth() -> None:
+def test_no_session_moves_back_and_forth() -> None:
     """Whatever a session does, it stays for a while where it came to, and lanes settle between two moves."""
     rebalancer = Rebalancer()
     assert rebalancer.choose([{"a": 0.7, "b": 0.3}, {}], [0, 1], 0.0) == ("b", 1)
@@ -83,7 +83,7 @@ def test_nothing_goes_back_and_forth() -> None:
     assert rebalancer.choose([{}, {"b": 0.6, "d": 0.4}], [0, 1], KEY_RESTS_S) == ("b", 0)
 
 
-async def test_a_place_is_given_where_there_is_time() -> None:
+async def test_new_session_gets_place_in_idlest_lane() -> None:
     """Sessions that pause count for half of their place, so many of them do not go where one is busy."""
     pool = pool_of(2, places=8)
     for key in "abcd":
@@ -116,7 +116,7 @@ async def test_a_move_takes_a_place_or_changes_nothing() -> None:
     assert pool.holds("c")
 
 
-async def test_the_pool_says_who_is_crowded(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_pool_announces_key_that_should_move(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("service.lanes.pool.BALANCE_EVERY_S", 0.001)
     pool = pool_of(2)
     for key in "abc":

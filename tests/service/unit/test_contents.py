@@ -65,7 +65,7 @@ def _works(store: LaneOperations, state: dict[str, Any]) -> bool:
     return True
 
 
-def test_a_sound_one_is_taken(store: LaneOperations, sound: dict[str, Any]) -> None:
+def test_sound_snapshot_is_restored(store: LaneOperations, sound: dict[str, Any]) -> None:
     assert restored(store, pack(sound))
 
 
@@ -104,11 +104,11 @@ def test_a_sound_one_is_taken(store: LaneOperations, sound: dict[str, Any]) -> N
         {"more": 1},
     ],
 )
-def test_a_field_that_is_wrong_is_refused(store: LaneOperations, sound: dict[str, Any], change: dict[str, Any]) -> None:
+def test_wrong_field_is_refused(store: LaneOperations, sound: dict[str, Any], change: dict[str, Any]) -> None:
     assert not restored(store, pack(sound | change))
 
 
-def test_targets_are_counted_and_told_apart(store: LaneOperations, sound: dict[str, Any]) -> None:
+def test_targets_are_counted_and_have_different_ids(store: LaneOperations, sound: dict[str, Any]) -> None:
     first, second = sound["targets"]
     assert restored(store, pack(sound | {"targets": [first]}))
     assert not restored(store, pack(sound | {"targets": [first, first]}))
@@ -121,7 +121,7 @@ def test_targets_are_counted_and_told_apart(store: LaneOperations, sound: dict[s
 @pytest.mark.parametrize(
     "data", [b"", b"\xc1", b"\x80", b"\xdf\xff\xff\xff\xff", b"\x91" * 100_000, msgpack.packb(None)]
 )
-def test_what_is_no_map_of_ours(store: LaneOperations, data: bytes) -> None:
+def test_bytes_that_are_no_snapshot_are_refused(store: LaneOperations, data: bytes) -> None:
     assert not restored(store, data)
 
 

@@ -25,7 +25,7 @@ from service.stream.frame_queue import FrameQueue
 ROW = [0, [1.0, 2.0, 3.0, 4.0], "tracking", True, None, None, 12.5, True, 1.0, 0.9]
 
 
-def test_who_has_used_least_time_is_next() -> None:
+def test_key_that_used_least_time_is_next() -> None:
     queue: FairQueue[int] = FairQueue()
     turns = []
     for n in range(100):
@@ -42,7 +42,7 @@ def test_who_has_used_least_time_is_next() -> None:
     assert "flood" in turns[:3]
 
 
-def test_sleeping_saves_nothing_up() -> None:
+def test_pausing_key_saves_no_credit() -> None:
     queue: FairQueue[int] = FairQueue()
     queue.push("old", 0)
     for n in range(50):
@@ -58,7 +58,7 @@ def test_sleeping_saves_nothing_up() -> None:
     assert first.count("old") == 1
 
 
-def test_a_forgotten_key_leaves_what_waited() -> None:
+def test_forgetting_key_returns_its_waiting_items() -> None:
     queue: FairQueue[str] = FairQueue()
     queue.push("a", "1")
     queue.push("a", "2")
@@ -147,7 +147,7 @@ async def test_controls_that_wait_are_bounded() -> None:
     waiting.put_control(CONTROL)
 
 
-async def test_whoever_waits_is_woken() -> None:
+async def test_waiting_reader_is_woken() -> None:
     waiting = queue_of(Mode.LATEST)
     task = asyncio.create_task(waiting.next())
     await asyncio.sleep(0)
@@ -168,7 +168,7 @@ def test_a_bucket_lets_a_burst_through_and_then_the_rate() -> None:
     assert [bucket.take(100.0) for _ in range(11)].count(0.0) == 10
 
 
-def test_memories_fade_and_are_bounded() -> None:
+def test_cached_values_expire_and_are_bounded() -> None:
     now = 0.0
     cache: TTLCache[str] = TTLCache(2, 10, lambda: now)
     cache.put("me", "a", "A")
@@ -186,7 +186,7 @@ def test_memories_fade_and_are_bounded() -> None:
 
 
 @given(st.lists(st.tuples(st.sampled_from("abc"), st.integers(0, 9), st.sampled_from((None, 1.0, 7.0))), max_size=60))
-def test_nobody_pushes_out_what_is_remembered_of_another(puts: list[tuple[str, int, float | None]]) -> None:
+def test_owner_cannot_evict_values_of_another(puts: list[tuple[str, int, float | None]]) -> None:
     now, most = 0.0, 3
     cache: TTLCache[int] = TTLCache(most, 5.0, lambda: now)
     alone: dict[str, TTLCache[int]] = {owner: TTLCache(most, 5.0, lambda: now) for owner in "abc"}
@@ -203,7 +203,7 @@ def test_nobody_pushes_out_what_is_remembered_of_another(puts: list[tuple[str, i
     assert len(cache) == len(cache._keys) == 0
 
 
-def test_the_past_is_bounded_by_bytes() -> None:
+def test_trajectory_is_bounded_by_bytes() -> None:
     past = TrajectoryLog(4096)
     for seq in range(1000):
         past.append(TrajectoryEntry(seq, "ts", [640, 480], None, [ROW]))
@@ -217,7 +217,7 @@ def test_the_past_is_bounded_by_bytes() -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 2**32 - 1), st.binary(max_size=300)), max_size=8), st.data())
-def test_messages_survive_any_cutting(messages: list[tuple[int, bytes]], data: st.DataObject) -> None:
+def test_messages_survive_any_fragmentation(messages: list[tuple[int, bytes]], data: st.DataObject) -> None:
     stream = b"".join(b"".join(framed(call, [payload])) for call, payload in messages)
     splitter, heard = Splitter(), []
     while stream:

@@ -34,7 +34,7 @@ def taken(rate_limiter: RateLimiter, owner: str, times: int, size: int = 0) -> i
     return through
 
 
-def test_a_key_has_its_rate_and_is_told_when() -> None:
+def test_key_above_its_rate_is_told_when_to_return() -> None:
     clock = Clock()
     rate_limiter = RateLimiter(Settings(max_frames_per_s_per_key=10), clock)
     assert taken(rate_limiter, "a", 25) == 10
@@ -58,7 +58,7 @@ def test_a_long_run_keeps_to_the_rate() -> None:
     assert through == pytest.approx(50 * 100, rel=0.03)  # the bytes are the scarcer
 
 
-def test_bytes_are_owed_and_paid_back() -> None:
+def test_large_frame_leaves_debt_of_bytes() -> None:
     """A frame larger than a second's bytes passes, and the next one waits for it."""
     clock = Clock()
     rate_limiter = RateLimiter(Settings(max_frame_bytes_per_s_per_key=1000), clock)
@@ -70,14 +70,14 @@ def test_bytes_are_owed_and_paid_back() -> None:
     rate_limiter.count_frame("a", 1)
 
 
-def test_a_refusal_costs_nobody_anything() -> None:
+def test_refused_frame_is_not_counted() -> None:
     clock = Clock()
     rate_limiter = RateLimiter(Settings(max_frames_per_s=100, max_frames_per_s_per_key=10), clock)
     assert taken(rate_limiter, "flood", 10_000) == 10
     assert sum(taken(rate_limiter, f"key {n}", 10) for n in range(4)) == 40
 
 
-def test_who_uses_little_is_let_through_beside_floods() -> None:
+def test_modest_key_passes_beside_floods() -> None:
     """Two keys together would use the common rate up; a third that sends 30 a second loses nothing."""
     clock = Clock()
     rate_limiter = RateLimiter(Settings(max_frames_per_s=1000, max_frames_per_s_per_key=800), clock)
@@ -91,7 +91,7 @@ def test_who_uses_little_is_let_through_beside_floods() -> None:
     assert 0.9 * 30_000 < floods + victim <= 31_000
 
 
-def test_the_common_rate_is_told_as_a_lack_of_room() -> None:
+def test_exceeded_common_rate_is_at_capacity() -> None:
     rate_limiter = RateLimiter(Settings(max_frames_per_s=5, max_frames_per_s_per_key=50), Clock())
     taken(rate_limiter, "a", 50)
     with pytest.raises(ProblemError) as refused:
@@ -99,14 +99,14 @@ def test_the_common_rate_is_told_as_a_lack_of_room() -> None:
     assert (refused.value.code, refused.value.status) == ("at-capacity", 503)
 
 
-def test_a_clock_that_stands_still_or_steps_back_gives_nothing_away() -> None:
+def test_clock_that_stands_or_steps_back_adds_no_tokens() -> None:
     bucket = TokenBucket(10, 100.0)
     assert [bucket.take(100.0) for _ in range(10)] == [0.0] * 10
     assert bucket.take(50.0) > 0
     assert bucket.take(50.05) > 0
 
 
-def test_accounts_are_small_and_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_remembered_keys_are_small_and_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("service.sessions.rate_limiter.MAX_KEYS", 100)
     clock = Clock()
     rate_limiter = RateLimiter(Settings(max_requests_per_s=2), clock)

@@ -76,7 +76,7 @@ class Keeping(World):
         return seq
 
 
-async def test_a_checkpoint_comes_every_so_many_frames_and_only_then() -> None:
+async def test_checkpoint_is_taken_at_the_interval_only() -> None:
     world = Keeping(checkpoint_every_frames=13)
     session = await world.create()
     for _ in range(40):
@@ -92,7 +92,7 @@ async def test_a_checkpoint_comes_every_so_many_frames_and_only_then() -> None:
     assert [op for op, _ in world.lanes.ops[before:]] in (["checkpoint"], [])
 
 
-async def test_what_is_lost_is_made_again_in_order() -> None:
+async def test_lost_operations_are_replayed_in_order() -> None:
     world = Keeping(checkpoint_every_frames=100)
     session = await world.create()
     session.lane._frames_until_checkpoint = 100
@@ -117,7 +117,7 @@ async def test_what_is_lost_is_made_again_in_order() -> None:
     ]
 
 
-async def test_the_bound_of_a_session_is_kept_by_an_earlier_checkpoint() -> None:
+async def test_replay_limit_of_session_forces_checkpoint() -> None:
     world = Keeping(max_replay_bytes=64 * KIB, checkpoint_every_frames=10_000)
     session = await world.create()
     session.lane._frames_until_checkpoint = 10_000
@@ -130,7 +130,7 @@ async def test_the_bound_of_a_session_is_kept_by_an_earlier_checkpoint() -> None
     assert b'reason="bytes"' in text(world.metrics)
 
 
-async def test_at_the_bound_of_all_nothing_is_lost_and_nobody_is_let_in() -> None:
+async def test_global_recovery_limit_refuses_new_sessions() -> None:
     world = Keeping(places=9, max_recovery_bytes=1024 * KIB, checkpoint_every_frames=10_000)
     sessions = [await world.create() for _ in range(3)]
     for session in sessions:
@@ -149,7 +149,7 @@ async def test_at_the_bound_of_all_nothing_is_lost_and_nobody_is_let_in() -> Non
     assert (budget.checkpoints, budget.frames) == (0, 0)
 
 
-async def test_the_same_frame_twice_is_poison_other_deaths_are_not() -> None:
+async def test_frame_that_kills_two_workers_ends_session() -> None:
     world = Keeping()
     session, other = await world.create(), await world.create()
     world.lanes.deaths = [("died", True), ("died", False), ("hung", False)]
@@ -224,7 +224,7 @@ async def test_a_session_moves_from_a_checkpoint_between_two_frames() -> None:
     follower.cancel()
 
 
-async def test_an_operation_that_is_broken_off_has_not_happened() -> None:
+async def test_cancelled_operation_is_rolled_back() -> None:
     world = Keeping(checkpoint_every_frames=100)
     session = await world.create()
     session.lane._frames_until_checkpoint = 100
@@ -238,7 +238,7 @@ async def test_an_operation_that_is_broken_off_has_not_happened() -> None:
     assert world.lanes.ops == [("create", None), ("track", 1), ("track", 3)]
 
 
-async def test_a_session_without_a_lane_refuses_in_time_and_stays() -> None:
+async def test_session_without_lane_refuses_calls_and_stays() -> None:
     world = Keeping(recovery_timeout_s=0.02)
     session = await world.create()
     world.lanes.keys.clear()
@@ -257,7 +257,7 @@ async def test_a_session_without_a_lane_refuses_in_time_and_stays() -> None:
     assert await world.track(session) == 2
 
 
-def test_a_closed_journal_keeps_nothing() -> None:
+def test_closed_replay_log_keeps_nothing() -> None:
     budget = RecoveryBudget(10)
     journal = ReplayLog(budget)
     journal.append(Operation("create", {}, b"first"))
@@ -268,7 +268,7 @@ def test_a_closed_journal_keeps_nothing() -> None:
     assert (budget.checkpoints, budget.frames, journal.checkpoint, journal.operations) == (0, 0, None, [])
 
 
-async def test_the_places_of_the_lost_are_kept() -> None:
+async def test_places_of_lost_sessions_are_kept_for_them() -> None:
     """In the lane that comes for the lost one; elsewhere only while that one keeps dying."""
     pool = LanePool(2, 3, LaneLimits(FrameLimits(), 1, 1), deadline_s=1, start_timeout_s=1, max_rss_bytes=1 << 40)
     for lane in pool._lanes:
@@ -337,7 +337,7 @@ def reopened(folder: Path) -> tuple[SqliteStore, list[SavedSession]]:
     return database, database.load()[0]
 
 
-def test_the_newest_state_is_on_disk_with_the_whole_past(tmp_path: Path) -> None:
+def test_newest_state_is_on_disk_with_whole_trajectory(tmp_path: Path) -> None:
     database, found = reopened(tmp_path)
     assert found == []
     database.save(saved("a", 2, [0, 1, 2]))
@@ -355,7 +355,7 @@ def test_the_newest_state_is_on_disk_with_the_whole_past(tmp_path: Path) -> None
     database.close()
 
 
-def test_a_disk_that_fails_for_a_while(tmp_path: Path) -> None:
+def test_sessions_are_written_after_disk_failure(tmp_path: Path) -> None:
     """What could not be written is written later, and counted."""
     database, _ = reopened(tmp_path)
     assert database._file.db is not None
@@ -376,7 +376,7 @@ def test_a_disk_that_fails_for_a_while(tmp_path: Path) -> None:
     database.close()
 
 
-def test_what_is_no_state_is_told(tmp_path: Path) -> None:
+def test_unusable_state_directory_is_reported(tmp_path: Path) -> None:
     (tmp_path / FILE).write_bytes(b"not a database" * 1000)
     with pytest.raises(StateDirError, match="move it away"):
         SqliteStore(tmp_path, Metrics()).open()

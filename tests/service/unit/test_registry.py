@@ -79,7 +79,7 @@ class Lanes:
         return []
 
 
-async def test_who_comes_before_a_lane_is_ready_is_told_so() -> None:
+async def test_creation_before_a_lane_is_ready_says_so() -> None:
     lanes = Lanes(0)
     lanes.ready = False
     registry = SessionRegistry(Settings(), lanes, Metrics())
@@ -132,7 +132,7 @@ def gone(world: World, session: Session, owner: str = "me") -> tuple[str, Any]:
     return code_of(refused)
 
 
-async def test_the_expired_go_before_anyone_is_refused_and_the_living_stay() -> None:
+async def test_expired_sessions_make_room_for_new_ones() -> None:
     world = World(places=2)
     idle = await world.create()
     world.now += 6
@@ -148,7 +148,7 @@ async def test_the_expired_go_before_anyone_is_refused_and_the_living_stay() -> 
     assert world.lanes.keys == {living.id, new.id}
 
 
-async def test_calls_keep_a_session_and_nothing_keeps_it_for_ever() -> None:
+async def test_calls_keep_session_alive_until_its_greatest_age() -> None:
     world = World()
     session = await world.create()
     for _ in range(19):
@@ -158,7 +158,7 @@ async def test_calls_keep_a_session_and_nothing_keeps_it_for_ever() -> None:
     assert gone(world, session) == ("session-gone", "expired")
 
 
-async def test_a_stream_has_a_time_of_its_own() -> None:
+async def test_attached_stream_has_its_own_idle_time() -> None:
     world = World()
     session = await world.create()
     stream = Stream()
@@ -173,7 +173,7 @@ async def test_a_stream_has_a_time_of_its_own() -> None:
 
 
 @pytest.mark.parametrize(("reason", "close"), [("closed", 1000), ("expired", 4410), ("lost", 4410)])
-async def test_streams_are_closed_with_the_code_of_the_end(reason: str, close: int) -> None:
+async def test_stream_closes_with_code_of_session_end(reason: str, close: int) -> None:
     world = World()
     session = await world.create()
     stream = Stream()
@@ -186,7 +186,7 @@ async def test_streams_are_closed_with_the_code_of_the_end(reason: str, close: i
     assert code_of(refused) == ("session-gone", reason)
 
 
-async def test_tombstones_are_for_the_owner_and_fade() -> None:
+async def test_tombstone_is_for_owner_and_expires() -> None:
     world = World(max_tombstones=2)
     session = await world.create()
     world.registry.close("me", session.id)
@@ -206,7 +206,7 @@ async def test_tombstones_are_for_the_owner_and_fade() -> None:
     assert gone(world, third) == ("session-gone", "closed")
 
 
-async def test_the_sessions_of_a_lost_lane_are_restored() -> None:
+async def test_sessions_of_lost_lane_are_restored() -> None:
     world = World()
     dead, alive = await world.create(), await world.create()
     follower = asyncio.create_task(world.registry.follow_lanes())
@@ -230,7 +230,7 @@ async def test_a_refused_creation_leaves_no_trace() -> None:
     assert await world.create(key="k") is session
 
 
-async def test_the_same_key_makes_one_session() -> None:
+async def test_same_idempotency_key_makes_one_session() -> None:
     world = World(places=5)
     made: Sequence[Session] = await asyncio.gather(*(world.create(key="k") for _ in range(4)))
     assert len({s.id for s in made}) == 1
@@ -243,7 +243,7 @@ async def test_the_same_key_makes_one_session() -> None:
     assert (await world.create(key="k")).id != made[0].id
 
 
-async def test_a_lane_that_dies_under_a_creation_is_made_up_for() -> None:
+async def test_creation_survives_death_of_its_lane() -> None:
     world = World()
     reserve = world.lanes.reserve
 
@@ -256,7 +256,7 @@ async def test_a_lane_that_dies_under_a_creation_is_made_up_for() -> None:
     assert world.lanes.keys == {session.id}
 
 
-async def test_one_key_leaves_half_of_the_places_to_the_others() -> None:
+async def test_one_key_gets_at_most_half_of_the_places() -> None:
     """As soon as there are others; what is set goes before it."""
     owners = 1
     world = World(places=8, lanes=2, max_sessions_per_lane=4)
@@ -279,7 +279,7 @@ async def test_one_key_leaves_half_of_the_places_to_the_others() -> None:
     assert (KeyQuotas(chosen, lambda: 5).sessions, KeyQuotas(chosen, lambda: 1).streams) == (3, 2)
 
 
-async def test_pages_go_on_where_they_ended() -> None:
+async def test_next_page_begins_after_the_last_one() -> None:
     world = World(places=10)
     made = [await world.create() for _ in range(5)]
     await world.create("other")
@@ -322,7 +322,7 @@ async def test_one_operation_of_a_session_at_a_time() -> None:
     assert len(session.trajectory) == 11
 
 
-async def test_a_key_that_is_remembered_keeps_no_session() -> None:
+async def test_remembered_idempotency_key_keeps_no_session_alive() -> None:
     """For ten minutes an idempotency key answers; the session and its past go when it ends."""
     world = World()
     session = await world.create(key="k")
@@ -383,7 +383,7 @@ async def test_a_session_does_not_end_idle_while_its_frame_is_being_received() -
     assert session.ended == "idle"
 
 
-async def test_a_restored_session_has_no_longer_idle_time_than_is_allowed_here() -> None:
+async def test_idle_time_of_restored_session_is_cut_to_limit() -> None:
     world = World(max_idle_timeout_s=60)
     told = STATE | {"options": asdict(Options(idle_timeout_s=3600.0))}
 
@@ -395,7 +395,7 @@ async def test_a_restored_session_has_no_longer_idle_time_than_is_allowed_here()
     assert session.options.idle_timeout_s == 60
 
 
-async def test_one_tenant_pushes_out_nothing_that_is_remembered_of_another() -> None:
+async def test_tenant_cannot_evict_what_is_kept_for_another() -> None:
     world = World(places=5, max_tombstones=2, max_idempotency_keys=2)
     theirs = await world.create("other", key="k")
     ended = await world.create("other")

@@ -37,7 +37,7 @@ class Clock:
         return self.now
 
 
-def test_one_owner_has_half_of_the_room_and_the_next_finds_some() -> None:
+def test_single_owner_gets_half_of_the_budget() -> None:
     room = ByteBudget(120)
     first, second, third = (Reservation(room, owner) for owner in ("a", "b", "c"))
     assert not first.resize(61)
@@ -51,7 +51,7 @@ def test_one_owner_has_half_of_the_room_and_the_next_finds_some() -> None:
     assert second.resize(50)
 
 
-def test_what_is_held_moves_with_its_owner() -> None:
+def test_held_bytes_move_with_their_owner() -> None:
     room = ByteBudget(100)
     share = Reservation(room)
     assert share.resize(40)
@@ -63,7 +63,7 @@ def test_what_is_held_moves_with_its_owner() -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 80)), max_size=60))
-def test_the_room_counts_right_whatever_is_asked_of_it(steps: list[tuple[int, int]]) -> None:
+def test_byte_budget_counts_right_for_any_sequence(steps: list[tuple[int, int]]) -> None:
     room = ByteBudget(100)
     shares, held = [Reservation(room, str(n % 2)) for n in range(4)], [0] * 4
     for who, size in steps:
@@ -116,7 +116,7 @@ def test_refusals_above_their_rate_come_late_and_not_ever_later() -> None:
     assert meter.refusal_delay_s("a") == 0
 
 
-async def test_a_few_at_once_of_each_key() -> None:
+async def test_concurrency_limit_holds_for_each_key() -> None:
     limit, release = ConcurrencyLimit(2, 0.01, "snapshots"), asyncio.Event()
 
     async def work() -> None:

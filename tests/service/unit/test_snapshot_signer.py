@@ -30,7 +30,7 @@ def refusal(seal: SnapshotSigner, owner: str, data: bytes) -> str:
 
 
 @given(owner=st.text(max_size=40), body=st.binary(max_size=2000))
-def test_what_is_closed_opens(owner: str, body: bytes) -> None:
+def test_signed_snapshot_is_verified(owner: str, body: bytes) -> None:
     seal = SnapshotSigner([NEW, OLD])
     data = seal.sign(owner, body)
     assert data[:8] == MAGIC + struct.pack(">H", VERSION)
@@ -73,7 +73,7 @@ def test_every_other_length_is_refused() -> None:
     refusal(seal, "a", data + b"\0")
 
 
-def test_another_owner_and_an_unknown_version() -> None:
+def test_other_owner_and_unknown_version_are_refused() -> None:
     seal = SnapshotSigner([NEW])
     data = seal.sign("a", BODY)
     assert refusal(seal, "b", data) == "the signature does not match"

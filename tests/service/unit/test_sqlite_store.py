@@ -116,7 +116,7 @@ def test_nothing_of_an_ended_session_stays_on_disk(tmp_path: Path, others: bool)
     assert remains(tmp_path, gone) == 0
 
 
-def test_what_a_killed_process_left_in_the_log_is_erased_at_the_next_start(tmp_path: Path) -> None:
+def test_log_of_killed_process_is_erased_at_next_start(tmp_path: Path) -> None:
     images = frames(4)
     running, killed = tmp_path / "running", tmp_path / "killed"
     database = opened(running)
@@ -169,7 +169,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("impatient")
-def test_a_full_disk_costs_a_bounded_memory_and_one_line(tmp_path: Path) -> None:
+def test_full_disk_costs_bounded_memory_and_one_log_line(tmp_path: Path) -> None:
     with capture_logs() as lines:
         database = opened(tmp_path)
         database.save(saved("lasting", frames(1)[0]))
@@ -199,7 +199,7 @@ def test_a_full_disk_costs_a_bounded_memory_and_one_line(tmp_path: Path) -> None
 
 
 @pytest.mark.usefixtures("impatient")
-def test_a_vault_that_could_not_write_says_so_when_it_is_closed(tmp_path: Path) -> None:
+def test_store_that_could_not_write_says_so_when_closed(tmp_path: Path) -> None:
     database = opened(tmp_path)
     fill_up(database)
     database.save(saved("a", b"x" * 100_000))

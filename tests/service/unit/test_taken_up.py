@@ -80,7 +80,7 @@ async def test_the_idle_time_of_a_session_that_is_taken_up_is_cut_to_the_limit(t
     await second.registry.save_all()
 
 
-async def test_what_was_lost_is_told_also_after_another_restart(tmp_path: Path) -> None:
+async def test_loss_is_reported_also_after_another_restart(tmp_path: Path) -> None:
     """The client did not come back between a breakdown and the next stop."""
     first = Keeping(state_dir=str(tmp_path))
     await first.registry.load()
@@ -214,7 +214,7 @@ async def test_a_session_is_not_idle_until_it_is_restored(tmp_path: Path) -> Non
     await second.registry.save_all()
 
 
-async def test_a_damaged_session_is_told_to_its_owner_and_leaves_the_file(tmp_path: Path) -> None:
+async def test_damaged_session_is_reported_to_owner_and_deleted(tmp_path: Path) -> None:
     first = Keeping(state_dir=str(tmp_path))
     await first.registry.load()
     damaged, kept = await first.create(), await first.create()
