@@ -11,7 +11,7 @@ from ..protocol import examples
 from ..protocol.enums import ProblemCode
 from ..protocol.problems import CATALOGUE, MEDIA_TYPE
 from ..protocol.schema import REF, name_of
-from ..protocol.values import BOX_SAID, Box
+from ..protocol.values import BOX_DOC, Box
 from .answers import BYTES, FORM, JSON, MSGPACK, SNAPSHOT
 
 # The codes that calls of a kind can answer with. Probes, too, can answer with those of every path.
@@ -82,7 +82,7 @@ _BOXES_TEXT = {
     "pattern": rf"^\[\[{_FOUR}\](,\[{_FOUR}\]){{0,3}}\]$",
 }
 # Not a reference: a generated class with two references to one list defines a name twice.
-_BOXES = {"type": "array", "items": BOX_SAID | TypeAdapter(Box).json_schema(), "minItems": 1}
+_BOXES = {"type": "array", "items": BOX_DOC | TypeAdapter(Box).json_schema(), "minItems": 1}
 # One of the two, in a form from which code generators make one class for the body.
 _BOX_OR_BOXES: dict[str, Any] = {
     "if": {"required": ["box"]},

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 from .enums import Mode, Preset
 from .target import Target
-from .values import ECHO_SAID, REF_SAID, REGION_SAID, SEQ_SAID, Echo, Region, Seq, Size
+from .values import ECHO_DOC, REF_DOC, REGION_DOC, SEQ_DOC, Echo, Region, Seq, Size
 
 
 def _never_null(schema: dict[str, Any]) -> None:
@@ -46,11 +46,11 @@ class Result:
 
     TYPE: ClassVar = "result"
 
-    seq: Seq = field(metadata=SEQ_SAID)
-    ts: Echo | None = field(metadata=ECHO_SAID)
+    seq: Seq = field(metadata=SEQ_DOC)
+    ts: Echo | None = field(metadata=ECHO_DOC)
     size: Size
     dropped: int = field(metadata={"ge": 0, "description": "frames superseded since the previous result"})
-    region: Region | None = field(metadata=REGION_SAID)
+    region: Region | None = field(metadata=REGION_DOC)
     targets: tuple[Target, ...]
     timing: Timing | None = field(metadata={"json_schema_extra": _never_null})
 
@@ -64,10 +64,10 @@ class Result:
 class PastResult:
     """One tracked frame of the past."""
 
-    seq: Seq = field(metadata=SEQ_SAID)
-    ts: Echo | None = field(metadata=ECHO_SAID)
+    seq: Seq = field(metadata=SEQ_DOC)
+    ts: Echo | None = field(metadata=ECHO_DOC)
     size: Size
-    region: Region | None = field(metadata=REGION_SAID)
+    region: Region | None = field(metadata=REGION_DOC)
     targets: tuple[Target, ...]
 
 
@@ -97,8 +97,8 @@ class SessionInfo:
     label: str | None
     preset: str = field(metadata={"json_schema_extra": {"enum": [preset.value for preset in Preset]}})
     size: Size
-    seq: Seq = field(metadata=SEQ_SAID)
-    region: Region | None = field(metadata=REGION_SAID)
+    seq: Seq = field(metadata=SEQ_DOC)
+    region: Region | None = field(metadata=REGION_DOC)
     targets: tuple[Target, ...]
     stream: StreamAddress
 
@@ -126,7 +126,7 @@ class TargetChange:
     """A target that was added or corrected, and the region that is needed from now on."""
 
     target: Target
-    region: Region | None = field(metadata=REGION_SAID)
+    region: Region | None = field(metadata=REGION_DOC)
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,8 +192,8 @@ class Error:
     OPTIONAL: ClassVar = ("seq", "ref")
 
     problem: ProblemDocument
-    seq: Seq | None = field(default=None, metadata=SEQ_SAID)
-    ref: Echo | None = field(default=None, metadata=REF_SAID)
+    seq: Seq | None = field(default=None, metadata=SEQ_DOC)
+    ref: Echo | None = field(default=None, metadata=REF_DOC)
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,8 +203,8 @@ class Targets:
     TYPE: ClassVar = "targets"
     OPTIONAL: ClassVar = ("ref",)
 
-    ref: Echo | None = field(default=None, kw_only=True, metadata=REF_SAID)
-    region: Region | None = field(metadata=REGION_SAID)
+    ref: Echo | None = field(default=None, kw_only=True, metadata=REF_DOC)
+    region: Region | None = field(metadata=REGION_DOC)
     targets: tuple[Target, ...]
 
 

@@ -14,11 +14,11 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_typ
 from .enums import Preset, ProblemCode, Resize
 from .problems import ProblemError
 from .values import (
-    BOX_SAID,
-    ECHO_SAID,
-    REF_SAID,
-    REGION_SAID,
-    SEQ_SAID,
+    BOX_DOC,
+    ECHO_DOC,
+    REF_DOC,
+    REGION_DOC,
+    SEQ_DOC,
     Box,
     Echo,
     Region,
@@ -34,7 +34,7 @@ T = TypeVar("T")
 
 # Less leaves no time to send the next frame in.
 LEAST_IDLE_S = 1.0
-ON_SAID = {"description": "act on the next frame message instead of the newest tracked frame"}
+ON_DOC = {"description": "act on the next frame message instead of the newest tracked frame"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +72,9 @@ class Meta:
 
     TYPE: ClassVar = "meta"
 
-    seq: SentSeq = field(default=None, metadata=SEQ_SAID)
-    ts: SentTs = field(default=None, metadata=ECHO_SAID)
-    region: SentRegion = field(default=None, metadata=REGION_SAID)
+    seq: SentSeq = field(default=None, metadata=SEQ_DOC)
+    ts: SentTs = field(default=None, metadata=ECHO_DOC)
+    region: SentRegion = field(default=None, metadata=REGION_DOC)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,9 +84,9 @@ class FrameMessage:
     TYPE: ClassVar = "frame"
 
     frame: Image = field(metadata={"description": "JPEG, PNG or WebP; bin"})
-    seq: SentSeq = field(default=None, metadata=SEQ_SAID)
-    ts: SentTs = field(default=None, metadata=ECHO_SAID)
-    region: SentRegion = field(default=None, metadata=REGION_SAID)
+    seq: SentSeq = field(default=None, metadata=SEQ_DOC)
+    ts: SentTs = field(default=None, metadata=ECHO_DOC)
+    region: SentRegion = field(default=None, metadata=REGION_DOC)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +95,9 @@ class Add:
 
     TYPE: ClassVar = "add"
 
-    box: SentBox = field(metadata=BOX_SAID)
-    ref: Ref = field(default=None, metadata=REF_SAID)
-    on: On = field(default=None, metadata=ON_SAID)
+    box: SentBox = field(metadata=BOX_DOC)
+    ref: Ref = field(default=None, metadata=REF_DOC)
+    on: On = field(default=None, metadata=ON_DOC)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,9 +107,9 @@ class Correct:
     TYPE: ClassVar = "correct"
 
     target: SentTarget = field(metadata={"description": "the target's `id`"})
-    box: SentBox = field(metadata=BOX_SAID)
-    ref: Ref = field(default=None, metadata=REF_SAID)
-    on: On = field(default=None, metadata=ON_SAID)
+    box: SentBox = field(metadata=BOX_DOC)
+    ref: Ref = field(default=None, metadata=REF_DOC)
+    on: On = field(default=None, metadata=ON_DOC)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,8 +119,8 @@ class Remove:
     TYPE: ClassVar = "remove"
 
     target: SentTarget = field(metadata={"description": "the target's `id`"})
-    ref: Ref = field(default=None, metadata=REF_SAID)
-    on: On = field(default=None, metadata=ON_SAID)
+    ref: Ref = field(default=None, metadata=REF_DOC)
+    on: On = field(default=None, metadata=ON_DOC)
 
 
 Control = Add | Correct | Remove
@@ -161,7 +161,7 @@ class Options:
 class BoxBody:
     """A box for a target."""
 
-    box: SentBox = field(metadata=BOX_SAID)
+    box: SentBox = field(metadata=BOX_DOC)
 
 
 @dataclass(frozen=True, slots=True)

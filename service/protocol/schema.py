@@ -11,7 +11,7 @@ from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
 
 from . import answers, capabilities, requests
-from .values import BOX_SAID, ECHO_SAID, REGION_SAID, SEQ_SAID, Box, Echo, Region, Seq
+from .values import BOX_DOC, ECHO_DOC, REGION_DOC, SEQ_DOC, Box, Echo, Region, Seq
 
 T = TypeVar("T")
 
@@ -25,10 +25,10 @@ NAMES = {
     "ProblemDocument": "Problem",
 }
 VALUES: dict[str, tuple[Any, dict[str, Any]]] = {
-    "Box": (Box, BOX_SAID),
-    "Region": (Region, REGION_SAID),
-    "Seq": (Seq, SEQ_SAID),
-    "Echo": (Echo, ECHO_SAID),
+    "Box": (Box, BOX_DOC),
+    "Region": (Region, REGION_DOC),
+    "Seq": (Seq, SEQ_DOC),
+    "Echo": (Echo, ECHO_DOC),
 }
 REF = "#/components/schemas/{model}"
 _OPEN = (answers.ProblemDocument.__name__,)
@@ -61,7 +61,7 @@ def schemas(kinds: Iterable[type]) -> dict[str, Any]:
     found: dict[Any, Any] = generator.generate_definitions(inputs)[1]
     enums = {name: schema for name, schema in found.items() if "enum" in schema}
     made = {NAMES.get(name, name): _finished(name, found[name], enums) for name in found if name not in enums}
-    made |= {name: said | TypeAdapter(kind).json_schema() for name, (kind, said) in VALUES.items()}
+    made |= {name: doc | TypeAdapter(kind).json_schema() for name, (kind, doc) in VALUES.items()}
     return {name: _resolved(made[name]) for name in sorted(made)}
 
 

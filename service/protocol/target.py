@@ -11,7 +11,7 @@ from dataclasses import MISSING, dataclass, field, fields
 from typing import Any, ClassVar
 
 from .enums import Status
-from .values import BOX_SAID, Box
+from .values import BOX_DOC, Box
 
 Row = list[Any]
 
@@ -49,7 +49,7 @@ class Target:
     OPTIONAL: ClassVar = ("maps",)
 
     id: int = field(metadata={"ge": 0, "description": "unique in the session; the first is 0"})
-    box: Box = field(metadata={**BOX_SAID, "description": f"{BOX_SAID['description']}; the last known one while lost"})
+    box: Box = field(metadata={**BOX_DOC, "description": f"{BOX_DOC['description']}; the last known one while lost"})
     status: Status = field(
         metadata={
             "description": "`tracking`, `uncertain` or `lost` (not found for long enough; the search goes on): by the"

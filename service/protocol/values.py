@@ -34,14 +34,14 @@ Echo = int | float | Annotated[str, MaxLen(MAX_ECHO_CHARACTERS)]
 """A value that is sent back and never interpreted."""
 
 # What JSON Schemas say of these values beside their bounds.
-BOX_SAID = {
+BOX_DOC = {
     "description": "`[x, y, w, h]`: pixels of the whole frame after EXIF orientation, 0-based, top-left corner",
     "examples": [[198, 214, 34, 81]],
 }
-REGION_SAID = {"description": "`[x, y, w, h]` in whole pixels of the frame", "examples": [[120, 100, 190, 240]]}
-SEQ_SAID = {"description": "number of a frame message", "examples": [17]}
-ECHO_SAID = {"description": "echoed, never interpreted", "examples": [1712.5]}
-REF_SAID = {"description": "echoed in the answer", "examples": ["a1"]}
+REGION_DOC = {"description": "`[x, y, w, h]` in whole pixels of the frame", "examples": [[120, 100, 190, 240]]}
+SEQ_DOC = {"description": "number of a frame message", "examples": [17]}
+ECHO_DOC = {"description": "echoed, never interpreted", "examples": [1712.5]}
+REF_DOC = {"description": "echoed in the answer", "examples": ["a1"]}
 
 _KINDS: dict[type, str] = {dict: "a map", list: "lists", bool: "true or false", type(None): "null", bytes: "bytes"}
 

@@ -55,8 +55,8 @@ def messages_table(kinds: Iterable[type]) -> Callable[[], str]:
         for kind in kinds:
             sent: Any = kind
             names = ", ".join(f"`{one.name}{'?' if _optional(kind, one) else ''}`" for one in fields(sent))
-            said = (kind.__doc__ or "").partition("\n\n")[0].replace("\n    ", " ")
-            rows.append(f"| `{sent.TYPE}` | {names} | {said} |")
+            summary = (kind.__doc__ or "").partition("\n\n")[0].replace("\n    ", " ")
+            rows.append(f"| `{sent.TYPE}` | {names} | {summary} |")
         return "\n".join(rows)
 
     return table

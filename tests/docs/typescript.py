@@ -105,8 +105,8 @@ def _alias(name: str, values: Any) -> Iterator[str]:
 
 
 def _field(kind: type, one: Field[Any], hint: Any) -> Iterator[str]:
-    if said := one.metadata.get("description"):
-        yield from _comment(f"{said[0].upper()}{said[1:]}.", "  ")
+    if text := one.metadata.get("description"):
+        yield from _comment(f"{text[0].upper()}{text[1:]}.", "  ")
     chosen = kind is requests.Options and one.default is not MISSING
     optional = chosen or one.name in getattr(kind, "OPTIONAL", ())
     written = _type(hint)
