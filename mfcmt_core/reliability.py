@@ -48,7 +48,8 @@ class Reliability:
 
     ``long_term_means`` are the means of the template and the statistical peak over the frames that were learned. The
     ten-frame means sink with a vanishing target and would call it reliable again; the long-term means do not.
-    ``learned`` counts the learned frames, ``unreliable_run`` the frames in a row that count towards a lost target.
+    ``learned`` counts the learned frames, ``unreliable_run`` the frames in a row that failed a test, and ``low_run``
+    those in a row that count towards a lost target: the same, or with a status by confidence those of low confidence.
     ``tracking`` is True if that was the last frame's status.
     ``template_low`` says that the last frame's template peak was low at the target's place.
     """
@@ -59,6 +60,7 @@ class Reliability:
         self.long_term_means = (0.0, 0.0)
         self.learned = 0
         self.unreliable_run = 0
+        self.low_run = 0
         self.lost = False
         self.template_low = False
         self.tracking = True
@@ -85,13 +87,14 @@ class Reliability:
         passed = flags.fused and flags.template and flags.statistical
         if c.tracking_threshold:
             self.tracking = confidence >= c.tracking_threshold + (0 if self.tracking else c.hysteresis)
-            failed = confidence < c.lost_threshold
+            is_low = confidence < c.lost_threshold
         else:
-            self.tracking, failed = passed, not passed
-        self.unreliable_run = self.unreliable_run + 1 if failed else 0
+            self.tracking, is_low = passed, not passed
+        self.unreliable_run = 0 if passed else self.unreliable_run + 1
+        self.low_run = self.low_run + 1 if is_low else 0
         if self.lost:
             self.lost = not self.tracking or any(self._is_low(peaks, c.found_threshold))
-        elif c.lost_after and self.unreliable_run >= c.lost_after:
+        elif c.lost_after and self.low_run >= c.lost_after:
             self.lost = True
         if self.lost:
             self.tracking = False

@@ -87,6 +87,7 @@ def dump(config: MFCMTConfig, target: Target, frame_size: tuple[int, int]) -> by
             "lost": r.lost,
             "doubtful": r.template_low,
             "tracking": r.tracking,
+            "low_run": r.low_run,
         },
         "confidence": {"slow": list(c.slow), "judged": c.judged, "known": c.known, "blank": c.blank},
         "arrays": {name: _pack(array) for name, array in _arrays(target).items()},
@@ -129,6 +130,7 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
             "lost": _boolean(r["lost"]),
             "template_low": _boolean(r["doubtful"]),
             "tracking": _boolean(r["tracking"]) if version == VERSION else True,
+            "low_run": _integer(r["low_run" if version == VERSION else "unreliable_run"], 0, 1 << 62),
         }
         confidence = _confidence(document["confidence"]) if version == VERSION else {}
         scale = _number(document["scale"], 1e-6, 1e10)

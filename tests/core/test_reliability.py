@@ -195,3 +195,14 @@ def test_a_start_on_nothing_is_uncertain():
     assert Reliability(BY_CONFIDENCE).start(0.1) == "uncertain"
     assert Reliability(BY_CONFIDENCE).start(1.0) == "tracking"
     assert Reliability(PAPER).start(0.1) == "tracking"
+
+
+def test_frames_that_fail_a_test_are_counted_whatever_the_confidence():
+    """A low template peak has the tracker probe one side after another, by this count."""
+    reliability = Reliability(BY_CONFIDENCE)
+    reliability.judge(Peaks(1, 1, 1), 0.9)
+    runs = []
+    for peak in (0.1, 0.01, 0.001, 1.0):
+        reliability.judge(Peaks(peak, peak, peak), 0.9)
+        runs.append(reliability.unreliable_run)
+    assert runs == [1, 2, 3, 0]

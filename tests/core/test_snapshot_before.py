@@ -25,7 +25,7 @@ def as_version_4(tracker):
     """Return the document as version 4 wrote it: no look, no confidence and no parameters of it."""
     document = msgpack.unpackb(tracker.to_bytes())
     document["version"] = 4
-    del document["confidence"], document["reliability"]["tracking"]
+    del document["confidence"], document["reliability"]["tracking"], document["reliability"]["low_run"]
     del document["arrays"]["first_look"]
     for name in MISSING_CONFIG[4]:
         del document["config"][name]
