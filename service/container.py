@@ -1,4 +1,4 @@
-"""How much memory this process may use."""
+"""The memory that this process may use."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from pathlib import Path
 
 CGROUP = Path("/sys/fs/cgroup")
 MIB = 1024 * 1024
-# A share of the memory for what is under way, within these bounds.
+# The bytes under way may take one part in so many of the memory, within these bounds.
 SHARE = 8
 LEAST, MOST = 128 * MIB, 512 * MIB
 
 
 def usable_memory(cgroup: Path = CGROUP) -> int:
-    """Bytes by the limit of cgroup version 2 or 1, at most those of the machine."""
+    """Return the memory limit in bytes of cgroup version 2 or 1, or the machine's memory if that is less."""
     machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     for name in ("memory.max", "memory/memory.limit_in_bytes"):
         try:
-            told = (cgroup / name).read_text().strip()
+            limit = (cgroup / name).read_text().strip()
         except OSError:
             continue
-        return min(machine, int(told)) if told.isdigit() else machine
+        return min(machine, int(limit)) if limit.isdigit() else machine
     return machine
 
 
 def room_bytes() -> int:
-    """What may be under way at once where no setting says so: an eighth of the memory, from 128 to 512 MiB."""
+    """Return the default of ``max_upload_bytes``: an eighth of the memory, from 128 to 512 MiB."""
     return max(LEAST, min(MOST, usable_memory() // SHARE))

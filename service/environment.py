@@ -1,4 +1,4 @@
-"""The variables that the service is set up with: read once, and inherited by no process that it starts."""
+"""Environment variables with secrets: read once, then removed, so that no child process inherits them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ _taken: dict[str, str] = {}
 
 
 def take(names: Collection[str]) -> None:
-    """Take variables out of the environment of this process for good; :func:`taken` still knows them.
+    """Remove variables from the environment of this process; :func:`taken` still returns them.
 
-    They leave ``os.environ``, the C library's copy, and the block that the kernel shows as ``/proc/PID/environ``.
-    ``names`` are in upper case; the variables may be in any.
+    They are removed from ``os.environ``, from the C library's copy, and from the block that the kernel shows as
+    ``/proc/PID/environ``. ``names`` are in upper case; the names of the variables may be in any case.
     """
     for name in [name for name in os.environ if name.upper() in names]:
         _taken[name] = os.environ[name]
@@ -23,12 +23,12 @@ def take(names: Collection[str]) -> None:
 
 
 def taken() -> Mapping[str, str]:
-    """The variables that were taken, in lower case, as they were."""
+    """Return the variables that were removed, with names in lower case."""
     return {name.lower(): value for name, value in _taken.items()}
 
 
 def _overwrite(name: str) -> None:
-    """Put zeros over the value where it lies: removed variables stay in memory, and a fork inherits that."""
+    """Overwrite the value with zeros: removed variables stay in memory, which a fork inherits."""
     if sys.platform != "linux":
         return
     libc = ctypes.CDLL(None)

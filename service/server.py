@@ -1,4 +1,4 @@
-"""uvicorn, set up for frames, with a drain before it ends."""
+"""uvicorn, set up for frames and with a drain before it ends."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from .settings import Settings
 # ByteBudget for the envelope of a MessagePack message.
 ENVELOPE_BYTES = 4096
 SHUTDOWN_S = 5
-# All connections that wait are accepted in one turn of the event loop; more of them try again a second later.
+# All waiting connections are accepted in one turn of the event loop; more than these try again a second later.
 BACKLOG = 256
 DRAIN_TICK_S = READY_TICK_S = 0.05
-# When clients may come back: after this, and so much later.
+# Clients may come back after this time, and a random part of the spread later.
 RETURN_S = 0.5
 SPREAD_S = (0.0, 1.5)
 
@@ -34,7 +34,7 @@ log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.server")
 
 
 class Server(uvicorn.Server):
-    """The first signal drains, the second stops at once."""
+    """A server that drains at the first signal and stops at once at the second."""
 
     def __init__(self, config: uvicorn.Config, service: Service, on_ready: Callable[[str], None]) -> None:
         super().__init__(config)
@@ -45,16 +45,16 @@ class Server(uvicorn.Server):
         self._draining: asyncio.Task[None] | None = None
 
     async def serve(self, sockets: Any = None) -> None:
-        """Serve until a signal, which may come at any time from here on."""
+        """Serve until a signal, which may come at any time from now on."""
         self._loop = asyncio.get_running_loop()
         await super().serve(sockets)
 
     async def startup(self, sockets: Any = None) -> None:
-        """Start, and say where."""
+        """Start, and log the address."""
         if not allow_files(self._service.settings):
-            log.warning("the limit of open files is below max_connections")
+            log.warning("the limit of open files (ulimit -n) is below MFCMT_MAX_CONNECTIONS: raise it or lower that")
         await super().startup(sockets)
-        # What is here by now stays: looking through it again and again would keep the loop for tens of milliseconds.
+        # The objects that exist now stay: looking for garbage among them would hold up the loop for tens of ms.
         gc.collect()
         gc.freeze()
         if self.started:
@@ -65,14 +65,14 @@ class Server(uvicorn.Server):
             self._telling = asyncio.create_task(self._tell_ready(url))
 
     async def _tell_ready(self, url: str) -> None:
-        """Tell the address once a lane is ready, that is, once sessions can be made."""
+        """Report the address once a lane is ready, so that sessions can be created."""
         while not any(lane.ready for lane in self._service.lanes.status()):
             await asyncio.sleep(READY_TICK_S)
         log.info("ready", url=url)
         self._on_ready(url)
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:  # noqa: ARG002
-        """A signal handler, on the main thread."""
+        """Drain or stop. Runs as a signal handler on the main thread."""
         assert self._loop is not None
         self._loop.call_soon_threadsafe(self._leave, signal.Signals(sig).name)
 
@@ -82,14 +82,14 @@ class Server(uvicorn.Server):
         else:
             log.info("stopping at once", signal=name)
             self._service.registry.end_streams(1012, "service restart")
-            # Nothing is tidied up: the lanes end with this process, and what it has saved is whole.
+            # No cleanup is needed: the lanes end with this process, and the saved state is complete.
             asyncio.get_running_loop().call_later(DRAIN_TICK_S, os._exit, 0)
 
     async def _drain(self, name: str) -> None:
         registry, grace_s = self._service.registry, self._service.settings.drain_grace_s
         log.info("draining", signal=name, streams=registry.streams(), sessions=len(registry))
-        # Without a state directory streams may go on for the grace, with it they may come back at once.
-        # Spread the returns, so that the next process is not met by all clients at once.
+        # Without a state directory streams may go on for the grace period; with one they may come back at once.
+        # The returns are spread, so that not all clients meet the next process at the same moment.
         soonest_s = RETURN_S if registry.store.durable else grace_s
         registry.drain(lambda: round(soonest_s + random.uniform(*SPREAD_S), 2))  # noqa: S311
         deadline = asyncio.get_running_loop().time() + grace_s
@@ -101,9 +101,9 @@ class Server(uvicorn.Server):
 
 
 def make_server(app: FastAPI, on_ready: Callable[[str], None] = lambda _: None) -> Server:
-    """A server for what ``create_app`` built; ``run()`` or ``serve()`` it.
+    """Return a server for the application of ``create_app``; call its ``run()`` or ``serve()``.
 
-    ``on_ready`` is called with the service's address when its first lane is ready.
+    ``on_ready`` is called with the service's URL when the first lane is ready.
     """
     service: Service = app.state.service
     settings: Settings = service.settings

@@ -1,4 +1,4 @@
-"""Every limit and switch of the service, read from ``MFCMT_*`` variables. The unit is in the name."""
+"""Settings of the service, read from ``MFCMT_*`` variables. The unit of a setting is in its name."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MIB = 1024 * 1024
 TEN_YEARS_S = 3.2e8
 # Apps in a WebView have origins of other schemes than http.
 ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^\s/?#@*\\]+", re.IGNORECASE)
-# What the exporter of spans reads by itself, and may hold a key.
+# Variables that the exporter of spans reads by itself; they may hold a key.
 OTLP_HEADERS = ("OTEL_EXPORTER_OTLP_HEADERS", "OTEL_EXPORTER_OTLP_TRACES_HEADERS")
 Secrets = Annotated[tuple[SecretStr, ...], NoDecode]
 Names = Annotated[tuple[str, ...], NoDecode]
@@ -39,7 +39,7 @@ def _positive(default: float, description: str, most: float = TEN_YEARS_S) -> An
 
 
 def unread_settings() -> list[str]:
-    """A line for each ``MFCMT_*`` variable that is no setting, with the nearest name that is one."""
+    """Return a line for each ``MFCMT_*`` variable that is no setting, with the nearest name that is one."""
     return unread_variables(f"MFCMT_{name.upper()}" for name in Settings.model_fields)
 
 
@@ -56,7 +56,7 @@ class Settings(BaseSettings):
         default_factory=default_lanes,
         ge=1,
         le=256,
-        description="worker processes; as many as cores that affinity and cgroup leave, less one from three on",
+        description="worker processes; default: the cores that affinity and cgroup leave, less one from three cores on",
     )
     max_sessions_per_lane: int = Field(
         default=16, ge=1, description="sessions in one lane; the service holds lanes times this"
@@ -64,15 +64,15 @@ class Settings(BaseSettings):
     max_sessions_per_key: int | None = Field(
         default=None,
         ge=1,
-        description="sessions of one key; unset: all; half where there are several keys",
+        description="sessions of one key; default: all, or half of all where there are several keys",
     )
     max_targets_per_session: int = Field(default=16, ge=1, le=256, description="targets in one session")
     region_lag_frames: int = Field(default=1, ge=0, le=30, description="frames in flight that a region leaves room for")
-    operation_deadline_s: float = _positive(5.0, "one operation in a lane; a lane that takes longer is replaced")
+    operation_deadline_s: float = _positive(5.0, "time of one operation; a lane that takes longer is replaced")
     max_lane_rss_bytes: int = Field(
         default=1536 * MIB, ge=256 * MIB, description="resident memory of one lane; a lane that outgrows it is replaced"
     )
-    lane_start_timeout_s: float = _positive(180.0, "from the start of a lane to its first word")
+    lane_start_timeout_s: float = _positive(180.0, "time from the start of a lane until it is ready")
 
     checkpoint_every_frames: int = Field(
         default=30, ge=1, le=10_000, description="frames of a session between two checkpoints of its state"
@@ -83,8 +83,8 @@ class Settings(BaseSettings):
     max_recovery_bytes: int = Field(
         default=512 * MIB, ge=MIB, description="checkpoints and frames kept of all sessions"
     )
-    recovery_timeout_s: float = _positive(30.0, "a session whose lane is lost refuses calls after waiting this long")
-    state_dir: str = Field(default="", description="where sessions outlive the process; none means that they do not")
+    recovery_timeout_s: float = _positive(30.0, "calls of a session whose lane is lost are refused after this long")
+    state_dir: str = Field(default="", description="directory where sessions outlive the process; default: they do not")
 
     max_frame_bytes: int = Field(default=8 * MIB, ge=1024, description="bytes of one encoded frame")
     max_frame_pixels: int = Field(
@@ -99,22 +99,22 @@ class Settings(BaseSettings):
         default=256 * 1024, ge=1024, description="bytes of a frame that is base64 in JSON"
     )
     max_body_bytes: int = Field(default=64 * 1024, ge=1024, description="bytes of a body or message without a frame")
-    max_snapshot_bytes: int = Field(default=64 * MIB, ge=1024, description="bytes of a snapshot that is sent in")
+    max_snapshot_bytes: int = Field(default=64 * MIB, ge=1024, description="bytes of a snapshot that a client sends")
     max_upload_bytes: int = Field(
         default_factory=room_bytes,
         ge=1024,
-        description="bytes under way at once: bodies, messages, frames that wait, answers that are not read",
+        description="bytes under way at once: bodies, messages, waiting frames, unread answers",
     )
-    body_timeout_s: float = _positive(30.0, "from a call's head to the end of its body")
+    body_timeout_s: float = _positive(30.0, "time from a call's head to the end of its body")
 
     idle_timeout_s: float = _positive(300.0, "a session without a stream ends after this long without a frame or call")
-    max_idle_timeout_s: float = _positive(3600.0, "the most that a client may ask for as idle_timeout_s")
-    attached_idle_timeout_s: float = _positive(600.0, "the same while a stream is attached")
+    max_idle_timeout_s: float = _positive(3600.0, "maximum of a client's idle_timeout_s")
+    attached_idle_timeout_s: float = _positive(600.0, "the same for a session with a stream")
     max_session_s: float = _positive(86400.0, "a session ends after this long however busy")
     tombstone_s: float = _positive(3600.0, "an ended session answers 410 for this long")
     max_tombstones: int = Field(default=10_000, ge=0, description="ended sessions of one key that are remembered")
     max_trajectory_bytes: int = Field(
-        default=8 * MIB, ge=4096, description="past results kept in one session, oldest go first"
+        default=8 * MIB, ge=4096, description="past results kept in one session; the oldest go first"
     )
     idempotency_s: float = _positive(600.0, "an Idempotency-Key is remembered for this long")
     max_idempotency_keys: int = Field(
@@ -124,10 +124,11 @@ class Settings(BaseSettings):
     credit_frames: int = Field(default=4, ge=1, le=64, description="unanswered frames of a lossless stream")
     max_messages_per_s: float = _positive(2000.0, "messages of one session; as many again may come at once")
     max_control_frames_per_s: float = _positive(
-        100.0, "pings, pongs and fragments below 1 KiB of one stream; as many again at once; more are cut"
+        100.0,
+        "pings, pongs and fragments below 1 KiB of one stream; as many again at once; more cut it",
     )
     max_refusals_per_s: float = _positive(
-        200.0, "refusals of one key, and of all without one; more end a stream, calls wait for theirs"
+        200.0, "refusals of one key, and of all clients without one; beyond it streams end and calls wait"
     )
     max_requests_per_s: float = _positive(1000.0, "HTTP calls of one key; as many again may come at once")
     max_frames_per_s: float = _positive(10_000.0, "frames of all keys; as many again may come at once")
@@ -136,51 +137,57 @@ class Settings(BaseSettings):
     max_frame_bytes_per_s_per_key: float = _positive(256.0 * MIB, "bytes of frames and snapshots of one key", 1e12)
     max_streams: int = Field(default=2048, ge=1, description="attached streams")
     max_streams_per_key: int | None = Field(
-        default=None, ge=1, description="attached streams of one key; unset: a share of max_streams, as of sessions"
+        default=None,
+        ge=1,
+        description="attached streams of one key; default: all, or half where there are several keys",
     )
     max_refused_messages: int = Field(
-        default=200, ge=1, description="messages refused for rate in a row before a stream closes"
+        default=200, ge=1, description="messages in a row that are refused for their rate before a stream closes"
     )
     send_timeout_s: float = _positive(20.0, "a stream whose client does not read closes after this long")
-    ping_interval_s: float = _positive(20.0, "between pings on a stream")
-    ping_timeout_s: float = _positive(20.0, "for the pong")
+    ping_interval_s: float = _positive(20.0, "time between pings on a stream")
+    ping_timeout_s: float = _positive(20.0, "time for the pong")
     max_connections: int = Field(
-        default=4096, ge=1, description="open connections; more are refused with at-capacity, above twice this cut"
+        default=4096,
+        ge=1,
+        description="open connections; more are refused with at-capacity, above twice this cut",
     )
     max_head_bytes: int = Field(default=32 * 1024, ge=1024, description="bytes of a call's request line and headers")
-    head_timeout_s: float = _positive(10.0, "from the first byte of a connection or call to the end of its head")
+    head_timeout_s: float = _positive(10.0, "time from the first byte of a connection or call to the end of its head")
     drain_grace_s: float = Field(
         default=15.0,
         ge=0,
         allow_inf_nan=False,
-        description="after SIGTERM, for work in flight; without a state directory, for open streams",
+        description="time after SIGTERM for work in flight and, without a state directory, for open streams",
     )
 
-    api_keys: Secrets = Field(default=(), description="keys that clients must show; none means no authentication")
+    api_keys: Secrets = Field(default=(), description="keys that clients must send; default: no authentication")
     api_keys_file: Path | None = Field(
-        default=None, description="more keys, one a line as KEY or NAME KEY; read again when it changes"
+        default=None, description="file of more keys, one per line as KEY or NAME KEY; read again when it changes"
     )
     admin_key: SecretStr | None = Field(
-        default=None, description="key for /metrics, at least 16 characters; none leaves it open"
+        default=None, description="key for /metrics, at least 16 characters; default: none is needed"
     )
-    allow_unauthenticated: bool = Field(default=False, description="listen beyond loopback without keys")
+    allow_unauthenticated: bool = Field(default=False, description="allow listening beyond loopback without keys")
     allowed_origins: Names = Field(
         default=(),
-        description="browser origins besides the service's own, as https://host:port; apps' as capacitor://localhost",
+        description="browser origins besides the service's own, as https://host:port or, of apps, capacitor://localhost",
     )
-    ticket_s: float = _positive(30.0, "a ticket is good for this long")
-    max_ticket_s: float = _positive(300.0, "the most that a client may ask for as ttl_s")
+    ticket_s: float = _positive(30.0, "a ticket is valid for this long")
+    max_ticket_s: float = _positive(300.0, "maximum of a client's ttl_s")
     max_tickets: int = Field(default=10_000, ge=1, description="tickets of one key that wait for their handshake")
-    signing_keys: Secrets = Field(default=(), description="snapshots are signed with the first, read with any")
+    signing_keys: Secrets = Field(default=(), description="keys that sign snapshots: the first signs, all verify")
 
-    log_format: Literal["auto", "json", "console"] = Field(default="auto", description="auto: console on a terminal")
+    log_format: Literal["auto", "json", "console"] = Field(
+        default="auto", description="json, console, or auto, which is console on a terminal"
+    )
     log_level: Literal["debug", "info", "warning", "error"] = Field(
-        default="info", description="least level that is logged"
+        default="info", description="lowest level that is logged"
     )
 
     otlp_endpoint: str = Field(
         default="",
-        description="base URL of the OTLP/HTTP collector of spans, as http://host:4318; none: no spans",
+        description="base URL of the OTLP/HTTP collector of spans, as http://host:4318; default: no spans",
     )
     trace_ratio: float = Field(
         default=0.01, ge=0, le=1, allow_inf_nan=False, description="share of calls and frames that begin a trace"
@@ -195,14 +202,14 @@ class Settings(BaseSettings):
         dotenv_settings: PydanticBaseSettingsSource,  # noqa: ARG003
         file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003
     ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """Arguments, then the environment, with what :meth:`leave_environment` has taken out of it."""
+        """Read arguments, then the environment and the variables that :meth:`leave_environment` removed from it."""
         assert isinstance(env_settings, EnvSettingsSource)
         env_settings.env_vars = {**environment.taken(), **env_settings.env_vars}
         return init_settings, env_settings
 
     @classmethod
     def leave_environment(cls) -> None:
-        """Take every variable of the settings, misspelt ones too, out of the environment: no lane inherits a key."""
+        """Remove every variable of the settings, misspelt ones too, from the environment: no lane inherits a key."""
         environment.take({name for name in map(str.upper, os.environ) if name.startswith(PREFIX)} - set(OWN))
         environment.take(OTLP_HEADERS)
 
@@ -248,8 +255,8 @@ class Settings(BaseSettings):
     def _bare_origins(cls, value: tuple[str, ...]) -> tuple[str, ...]:
         for origin in value:
             if not ORIGIN.fullmatch(origin):
-                told = "as https://app.example:8443 or capacitor://localhost"
-                raise ValueError(f"an origin is scheme://host[:port] and nothing more, {told}")
+                examples = "https://app.example:8443 or capacitor://localhost"
+                raise ValueError(f"an origin is scheme://host[:port] and nothing more, as {examples}")
         return tuple(origin.lower() for origin in value)
 
     @field_validator("public_url", "otlp_endpoint")

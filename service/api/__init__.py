@@ -1,1 +1,1 @@
-"""HTTP and the WebSocket handshake."""
+"""The HTTP calls and the WebSocket handshake."""

@@ -1,4 +1,4 @@
-"""Where a service listens: the port that is asked for, and whether it can be had."""
+"""The address on which a service listens: its port, and whether it is free."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ MAX_PORT = 65535
 
 
 class CannotListen(MFCMTError):
-    """The address cannot be listened on; the message says which variable to change."""
+    """The service cannot listen on the address; the message says which variable to change."""
 
 
 def chosen_port(argument: str | None, default: int) -> int:
-    """The port of ``--port``, else of MFCMT_PORT, else ``default``. Raises UsageError."""
+    """Return the port of ``--port``, else of MFCMT_PORT, else ``default``. Raises UsageError."""
     name, text = (
         ("MFCMT_PORT", os.environ.get("MFCMT_PORT", str(default))) if argument is None else ("--port", argument)
     )
@@ -27,7 +27,7 @@ def chosen_port(argument: str | None, default: int) -> int:
 
 
 def check_free(host: str, port: int) -> None:
-    """Raises CannotListen where a server could not listen on ``host`` and ``port``."""
+    """Raise CannotListen if a server could not listen on ``host`` and ``port``."""
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     except OSError as failed:

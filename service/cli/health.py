@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         connection.request("GET", path)
         answer = connection.getresponse()
-        told = answer.read(1000).decode(errors="replace")
+        body = answer.read(1000).decode(errors="replace")
     except (OSError, http.client.HTTPException) as failed:
         print(f"no answer from port {port}: {failed}", file=sys.stderr)
         with contextlib.suppress(ImportError):  # only now: settings take longer to load than the question
@@ -41,6 +41,6 @@ def run(args: argparse.Namespace) -> int:
     finally:
         connection.close()
     if answer.status != 200:
-        print(told, file=sys.stderr)
+        print(body, file=sys.stderr)
         return 1
     return 0

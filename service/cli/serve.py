@@ -17,7 +17,7 @@ from .address import check_free
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.serve")
 
-# The exit code when sessions are lost or older because their directory could not be written.
+# The exit code if sessions could not be written to the state directory.
 NOT_WRITTEN = 3
 FLAGS = ("host", "port", "lanes", "log_format", "log_level")
 SAMPLE = "static/page/sample.jpg"
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         settings = Settings(**given)
     except ValidationError as wrong:
-        raise UsageError("; ".join(_told(error) for error in wrong.errors(include_input=False))) from None
+        raise UsageError("; ".join(_message(error) for error in wrong.errors(include_input=False))) from None
 
     check_free(settings.host, settings.port)
 
@@ -71,8 +71,8 @@ def run(args: argparse.Namespace) -> int:
         print("mfcmt serve: could not start", file=sys.stderr)
         return int(failed.code or 1)
     if not app.state.service.registry.store.all_written:
-        told = "sessions could not be written when the service stopped; the next start has an older state of them"
-        print(f"mfcmt serve: {told}. Make room in {settings.state_dir}", file=sys.stderr)
+        lost = "some sessions could not be written at the stop; the next start has an older state of them"
+        print(f"mfcmt serve: {lost}. Make room in {settings.state_dir}", file=sys.stderr)
         return NOT_WRITTEN
     return 0
 
@@ -99,6 +99,6 @@ def _default(field: FieldInfo) -> str:
     return "" if value in (None, "", ()) else f"={value}"
 
 
-def _told(error: Any) -> str:
+def _message(error: Any) -> str:
     name = _variable(str(error["loc"][0])) if error["loc"] else "settings"
     return f"{name}: {error['msg'].removeprefix('Value error, ')}"

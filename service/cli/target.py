@@ -1,4 +1,4 @@
-"""The service that ``--url`` and ``--key`` of a command mean."""
+"""The service that ``--url`` and ``--key`` name."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..client import AsyncClient, ConnectionLost
 
 
 def host_of(url: str, key: str | None) -> str:
-    """The host of a service's URL. Raises UsageError where the client would refuse the URL, the key or a proxy."""
+    """Return the host of a service's URL. Raises UsageError if the client would refuse the URL, the key or a proxy."""
     try:
         return urlsplit(AsyncClient(url, key=key).address.url).hostname or ""
     except (ValueError, ConnectionLost) as wrong:

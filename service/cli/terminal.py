@@ -35,7 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="the target in the first frame; default: the ground truth, else the middle",
     )
     add("--fps", type=float, metavar="F", help="frames/s; default: the video's, else 30")
-    add("--frames", type=int, default=300, metavar="N", help="at most so many frames (300)")
+    add("--frames", type=int, default=300, metavar="N", help="number of frames at most (300)")
     add(
         "--mode",
         choices=("latest", "lossless"),
@@ -72,13 +72,13 @@ def run(args: argparse.Namespace) -> int:
     except (ClientError, ServerFailed, MediaError) as failed:
         print(f"mfcmt demo: {failed}", file=sys.stderr)
         return 1
-    except BrokenPipeError:  # the reader has seen enough
+    except BrokenPipeError:  # whoever reads the output has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
 
 def _open(args: argparse.Namespace) -> tuple[bytes, Iterator[bytes], Box, float]:
-    """The first frame, the others, the box and the rate."""
+    """Return the first frame, the others, the box, and the rate in frames/s."""
     if args.source is None or Path(args.source).is_dir():
         clip = open_clip(None if args.source is None else Path(args.source), args.box, args.frames)
         return clip.frames[0], iter(clip.frames[1:]), clip.box, SAMPLE_FPS
@@ -93,7 +93,7 @@ def _open(args: argparse.Namespace) -> tuple[bytes, Iterator[bytes], Box, float]
 
 
 def _paced(frames: Iterator[bytes], fps: float) -> Iterator[Frame]:
-    """``frames`` at their rate, each with the time of its sending."""
+    """Yield ``frames`` at ``fps``, each with the time of its sending."""
     start = time.perf_counter()
     for index, data in enumerate(frames):
         time.sleep(max(0.0, start + index / fps - time.perf_counter()))
@@ -101,7 +101,7 @@ def _paced(frames: Iterator[bytes], fps: float) -> Iterator[Frame]:
 
 
 class _Tally:
-    """What has come back so far."""
+    """Counts the results."""
 
     def __init__(self) -> None:
         self._start = time.perf_counter()
@@ -110,7 +110,7 @@ class _Tally:
         self._dropped = 0
 
     def line(self, result: Result) -> str:
-        """One result, as it comes."""
+        """Count a result and return its line."""
         latency_ms = (time.perf_counter() - float(result.ts or 0)) * 1e3
         target, timing = result.target, result.timing
         self._latency_ms.append(latency_ms)
@@ -132,12 +132,12 @@ class _Tally:
         )
 
     def summary(self) -> str:
-        """All of it."""
+        """Return the line that sums up all results."""
         seconds = time.perf_counter() - self._start
-        told = ", ".join(f"{count} {status}" for status, count in self._status.most_common())
+        statuses = ", ".join(f"{count} {status}" for status, count in self._status.most_common())
         p50, p95 = (quantile(self._latency_ms, share) for share in (0.5, 0.95))
         return (
-            f"{len(self._latency_ms)} results in {seconds:.1f} s ({told}; {self._dropped} dropped), "
+            f"{len(self._latency_ms)} results in {seconds:.1f} s ({statuses}; {self._dropped} dropped), "
             f"round trip p50 {p50:.1f} ms, p95 {p95:.1f} ms"
         )
 

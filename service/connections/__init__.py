@@ -1,4 +1,4 @@
-"""uvicorn's connections, with an end to what is silent, slow or too much, and a bound to what they hold."""
+"""uvicorn's connections, with limits on silence, slowness, floods and the bytes that they hold."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ SPARE_FILES = 256
 
 
 def protocols(settings: Settings, room: ByteBudget) -> tuple[type[CallProtocol], type[FrameProtocol]]:
-    """The two, bound to ``settings`` and ``room``: uvicorn makes an instance of each by itself."""
+    """Return the classes of both kinds of connections, bound to ``settings`` and the byte budget, for uvicorn."""
     members = {"settings": settings, "room": room}
     return type("Calls", (CallProtocol,), members), type("Frames", (FrameProtocol,), members)
 
 
 def allow_files(settings: Settings) -> bool:
-    """Raise this process' limit of open files to what its connections may need; whether that is allowed."""
+    """Raise this process' limit of open files to what its connections need. Return whether that suffices."""
     needed = CUT_ABOVE * settings.max_connections + SPARE_FILES
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if hard != resource.RLIM_INFINITY and hard < needed:

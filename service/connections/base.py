@@ -12,6 +12,7 @@ LEAVE_EXTENSION = "mfcmt.leave"
 OVER_CONNECTION_LIMIT = "mfcmt.over_connection_limit"
 # In the state of a scope: the connection's share of the byte budget.
 SHARE = "mfcmt.share"
+TOO_MANY_BYTES = "too many bytes under way; try again in a moment"
 # Above this many times max_connections, connections are cut without an answer.
 CUT_ABOVE = 2
 

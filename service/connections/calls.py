@@ -1,4 +1,4 @@
-"""uvicorn's HTTP: a head has its time and size, calls their turn, a response its reader, and a bad one a problem."""
+"""uvicorn's HTTP connections, with limits on heads, pipelined calls, unread answers and the bytes that they hold."""
 
 from __future__ import annotations
 
@@ -17,47 +17,47 @@ from ..protocol.enums import ProblemCode
 from ..protocol.problems import CATALOGUE, MEDIA_TYPE, ProblemError
 from ..sessions.byte_budget import ANONYMOUS, ByteBudget, Reservation
 from ..settings import Settings
-from .base import CUT_ABOVE, OVER_CONNECTION_LIMIT, SHARE, Timer
+from .base import CUT_ABOVE, OVER_CONNECTION_LIMIT, SHARE, TOO_MANY_BYTES, Timer
 
-# What the parser is given at a time where it could hold many pieces: two hundred chunks or fifty calls.
+# The parser gets so much at a time where it may hold many pieces: two hundred chunks or fifty calls.
 SLICE_BYTES = 1024
-# Of a head: its request line, one header, and how many of them.
+# Limits of a head: its request line, one header, and their number.
 MAX_URL_BYTES = MAX_HEADER_BYTES = 8192
 MAX_HEADERS = 100
-# What the handshake's parser goes through word by word, all of it together.
+# Headers that the handshake's parser reads word by word, and their length together.
 LISTS = frozenset({b"connection", b"sec-websocket-protocol", b"sec-websocket-extensions"})
 MAX_LIST_BYTES = 2048
-# A client that reads less than this in send_timeout_s does not read.
+# A client that reads less than this in send_timeout_s counts as one that does not read.
 LEAST_READ_BYTES = 16 * 1024
-# A connection that holds less than this is not worth counting: max_connections bounds those.
+# A connection that holds less than this is not counted: max_connections bounds their sum.
 SMALL_BYTES = 8192
-# What a call that waits for the one before it takes.
+# The memory of a call that waits for the one before it.
 CALL_BYTES = 4096
-# Some clients end a body with a line too many; these come in front of a call, two at a time at least.
+# Some clients end a body with an extra line. Empty lines before a call are allowed, but not many.
 EMPTY_LINE_BYTES, MAX_EMPTY_LINES = 4, 4
 
 log = Sampled(structlog.get_logger("mfcmt.http"))
 
 
 class Flow(FlowControl):
-    """Reads nothing while something that was read waits to be parsed."""
+    """Pauses reading while bytes wait to be parsed."""
 
     behind = False
 
     def resume_reading(self) -> None:
-        """As ever, unless something waits."""
+        """Resume reading, unless bytes wait to be parsed."""
         if not self.behind:
             super().resume_reading()
 
 
 class CallProtocol(HttpToolsProtocol):
-    """One call at a time is parsed; what comes behind it waits, and what a connection holds is counted."""
+    """Parses one call at a time. The bytes behind it wait, and all bytes that the connection holds are counted."""
 
     settings: Settings
     room: ByteBudget
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """The clock of the first head runs from here."""
+        """Start the clock of the first head."""
         super().connection_made(transport)
         self.flow = self._flow = Flow(transport)
         self._rest = b""
@@ -73,7 +73,7 @@ class CallProtocol(HttpToolsProtocol):
             self._expect_head()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Nothing is left to wait for."""
+        """Stop all clocks and release the bytes."""
         self._head_timer.stop()
         self._write_timer.stop()
         self._gone, self._rest = True, b""
@@ -81,14 +81,14 @@ class CallProtocol(HttpToolsProtocol):
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Bytes of a call, or of what may become one."""
+        """Take the bytes of a call, or of one that begins."""
         if self.cycle is None or self.cycle.response_complete:
             self._expect_head()
         self._rest = self._rest + data if self._rest else data
         self._feed(in_turn=False)
 
     def handle_websocket_upgrade(self) -> None:
-        """As ever; this object has done its work then, and leaves the connection as it reads."""
+        """Hand the connection over to the WebSocket protocol, with reading resumed."""
         self._upgraded = True
         self._flow.behind = False
         self._flow.resume_reading()
@@ -96,7 +96,7 @@ class CallProtocol(HttpToolsProtocol):
         super().handle_websocket_upgrade()
 
     def on_message_begin(self) -> None:
-        """A head begins; the application is told if there are too many connections."""
+        """Begin a head. The scope says whether there are too many connections."""
         super().on_message_begin()
         self._in_head, self._head_bytes, self._unparsed, self._body_left = True, 0, 0, 0
         self._empty_lines = self._list_bytes = 0
@@ -106,13 +106,13 @@ class CallProtocol(HttpToolsProtocol):
         self.scope["state"][OVER_CONNECTION_LIMIT] = len(self.connections) > self.settings.max_connections
 
     def on_url(self, url: bytes) -> None:
-        """A piece of the request line."""
+        """Take a piece of the request line. Raises ValueError if the line is too long."""
         super().on_url(url)
         if len(self.url) > MAX_URL_BYTES:
             raise ValueError("the request line is too long")
 
     def on_header(self, name: bytes, value: bytes) -> None:
-        """One header more."""
+        """Take a header. Raises ValueError if the head is too long."""
         super().on_header(name, value)
         self._head_bytes += len(name) + len(value)
         if (
@@ -130,43 +130,43 @@ class CallProtocol(HttpToolsProtocol):
             self._body_left = int(value[:18])
 
     def on_headers_complete(self) -> None:
-        """The head is whole."""
+        """End the head."""
         self._in_head, self._in_body = False, True
         self._head_timer.stop()
         super().on_headers_complete()
 
     def on_body(self, body: bytes) -> None:
-        """A piece of a body."""
+        """Take a piece of a body."""
         self._body_left -= len(body)
         super().on_body(body)
 
     def on_message_complete(self) -> None:
-        """The call is here as a whole."""
+        """End the call."""
         self._in_body = False
         super().on_message_complete()
 
     def send_400_response(self, msg: str) -> None:
-        """A problem, like every refusal; ``msg`` is uvicorn's own or ours and holds nothing of the request."""
+        """Refuse the call with a problem. ``msg`` holds nothing of the request."""
         problem = ProblemError(ProblemCode.BAD_REQUEST, msg.rstrip("."))
         log.info("call refused", code=problem.code, detail=problem.detail)
         self._refuse(problem)
 
     def pause_writing(self) -> None:
-        """The client reads slower than we write."""
+        """The client reads slower than the service writes: count the bytes that it has not read."""
         super().pause_writing()
         self._unread_bytes = self.transport.get_write_buffer_size()
         self._count_bytes()
         self._watch_reader()
 
     def resume_writing(self) -> None:
-        """It has caught up."""
+        """The client has read everything."""
         self._write_timer.stop()
         super().resume_writing()
         self._unread_bytes = 0
         self._count_bytes()
 
     def on_response_complete(self) -> None:
-        """The call is over; what the client has not read may be the last."""
+        """End the answer, and parse the next call if there is one."""
         super().on_response_complete()
         self._watch_closing()
         if self._rest and not self.pipeline:
@@ -175,12 +175,12 @@ class CallProtocol(HttpToolsProtocol):
             self._count_bytes()
 
     def timeout_keep_alive_handler(self) -> None:
-        """No other call has come."""
+        """Close the connection: no other call has come in time."""
         super().timeout_keep_alive_handler()
         self._watch_closing()
 
     def _start_asgi_task(self, cycle: RequestResponseCycle, app: Any) -> None:
-        """As ever; but what is sent while the connection is being lost goes nowhere, and is no fault."""
+        """Start the application; messages that it sends while the connection is being lost are dropped."""
 
         async def serve(scope: Any, receive: Any, send: Any) -> None:
             async def tell(message: Any) -> None:
@@ -212,7 +212,7 @@ class CallProtocol(HttpToolsProtocol):
                 if end < len(data):
                     self.transport.get_protocol().data_received(data[end:])  # type: ignore[attr-defined]
                 return
-            # The parser tells of a header when it is whole; this is for one that never is.
+            # The parser reports a header when it is complete; this bounds one that never is.
             self._unparsed = self._unparsed + end - at if self._in_head else 0
             if self._unparsed > self.settings.max_head_bytes + SLICE_BYTES:
                 self.send_400_response("the head is too long")
@@ -230,7 +230,7 @@ class CallProtocol(HttpToolsProtocol):
         self._count_bytes()
 
     def _end_of_slice(self, data: bytes, at: int) -> int:
-        """Where to stop before the next call, as far as one can tell without parsing."""
+        """Return where the next slice for the parser ends: before the next call, as far as that is known."""
         if self._in_body:
             return min(len(data), at + max(SLICE_BYTES, self._body_left))
         end = data.find(b"\r\n\r\n", at, at + SLICE_BYTES)
@@ -242,21 +242,21 @@ class CallProtocol(HttpToolsProtocol):
             turns.later(self.loop, self._feed)
 
     def _count_bytes(self) -> None:
-        """Hold what is here of this connection; refuse the call if there is no room."""
+        """Count the bytes that this connection holds; refuse the call if the budget is used up."""
         if self._gone:
             return
         body = 0 if self.cycle is None else len(self.cycle.body)
         held = len(self._rest) + self._unparsed + body + self._unread_bytes + CALL_BYTES * len(self.pipeline)
         if not self._share.resize(held if held > SMALL_BYTES else 0) and not self.transport.is_closing():
-            log.info("call refused", code="at-capacity", detail="too much is under way at once")
+            log.info("call refused", code=ProblemCode.AT_CAPACITY.value, detail=TOO_MANY_BYTES)
             self._rest = b""
             if self._unread_bytes or (self.cycle is not None and self.cycle.response_started):
                 self.transport.abort()
             else:
-                self._refuse(ProblemError(ProblemCode.AT_CAPACITY, "too much is under way at once", retry_after_s=1.0))
+                self._refuse(ProblemError(ProblemCode.AT_CAPACITY, TOO_MANY_BYTES, retry_after_s=1.0))
 
     def _refuse(self, problem: ProblemError) -> None:
-        """Answer outside of the application, and close."""
+        """Answer without the application, and close the connection."""
         if self.transport.is_closing():
             return
         kind = CATALOGUE[problem.code]

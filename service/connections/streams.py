@@ -1,4 +1,4 @@
-"""uvicorn's WebSocket: so many frames are parsed a turn, and who sends too many that carry nothing is cut."""
+"""uvicorn's WebSocket connections, with limits on frames per turn, control frames, and the bytes that they hold."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from ..observability.sampled import Sampled
 from ..sessions.byte_budget import ByteBudget, Reservation
 from ..sessions.rate_limiter import TokenBucket
 from ..settings import Settings
-from .base import ABORT_EXTENSION, LEAVE_EXTENSION, OVER_CONNECTION_LIMIT, SHARE
+from .base import ABORT_EXTENSION, LEAVE_EXTENSION, OVER_CONNECTION_LIMIT, SHARE, TOO_MANY_BYTES
 
 ABORT_AFTER_S = 5.0
 # Frames of one connection that are parsed between two turns of the event loop, about 20 µs each.
 FRAMES_A_TURN = 32
-# Messages of one connection that the application is given between two turns.
+# Messages of one connection that the application gets between two turns.
 MESSAGES_A_TURN = 16
 LARGE_READ_BYTES = 128 * 1024
-# A part of a message below this counts as a control frame does: honest clients cut messages into larger ones.
+# A smaller fragment of a message counts as a control frame does: ordinary clients send larger ones.
 SMALL_FRAGMENT_BYTES = 1024
-# What a part of a message takes beside its bytes.
+# The memory of a fragment beside its bytes.
 FRAGMENT_BYTES = 64
 
 log = Sampled(structlog.get_logger("mfcmt.stream"))
 
 
 class PacedReader(StreamReader):
-    """The parser's input, which ends after so many frames until it is given another turn."""
+    """The parser's input. It stops after a number of frames until the next turn."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -43,11 +43,11 @@ class PacedReader(StreamReader):
         self._left = FRAMES_A_TURN
 
     def turn(self, frames: int) -> None:
-        """Let the parser have so many more frames."""
+        """Let the parser read ``frames`` more frames."""
         self._left, self.behind = frames, False
 
     def at_eof(self) -> Generator[None, None, bool]:
-        """As ever; the parser asks before each frame."""
+        """Wait here when the turn's frames are used up; the parser asks before each frame."""
         while self._left <= 0 and self.buffer:
             self.behind = True
             yield
@@ -56,7 +56,7 @@ class PacedReader(StreamReader):
 
 
 class FrameProtocol(WebSocketsSansIOProtocol):
-    """A client that stops reading, or floods, cannot keep its connection, and what it sends is counted."""
+    """Cuts clients that flood or stop reading, and counts the bytes that the connection holds."""
 
     settings: Settings
     room: ByteBudget
@@ -64,7 +64,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._reader = self.conn.reader = PacedReader()
-        self.conn.parser = self.conn.parse()  # on the reader that is there now
+        self.conn.parser = self.conn.parse()  # reads from the new reader
         next(self.conn.parser)
         self._share = Reservation(self.room)
         self._idle_frames = TokenBucket(self.settings.max_control_frames_per_s, time.monotonic())
@@ -73,21 +73,21 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         self._goes_on = self._served = False
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Nothing is held any more."""
+        """Release the bytes."""
         super().connection_lost(exc)
         self._unread_bytes = 0
         self._reader.buffer.clear()
         self.frames = []
-        self._share.resize(0 if self._served else self._queued_bytes)  # until the application has taken it
+        self._share.resize(0 if self._served else self._queued_bytes)  # until the application has taken them
 
     def data_received(self, data: bytes) -> None:
-        """Bytes of frames; of more frames than one turn's the rest waits for the next."""
+        """Take bytes of frames; frames beyond those of one turn wait for the next one."""
         # Frames that wait for a turn stay in front of these; a frame that comes alone asks for no turn.
         self._reader.turn(0 if self._reader.behind else FRAMES_A_TURN)
         super().data_received(data)
         if self.transport.is_closing():
             return
-        # Of a large message, too, only so much is read in one turn: the kernel would hand over megabytes.
+        # A large message is read in parts, too: the kernel would hand over megabytes in one turn.
         if self._reader.behind or len(data) > LARGE_READ_BYTES:
             self._pause_reading()
             if self.queue.empty() or self.close_sent:
@@ -97,7 +97,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         self._count_bytes()
 
     async def receive(self) -> Any:
-        """As ever; but no more than some in one turn of the loop, and none late in one."""
+        """Return the next message, but only a few in one turn of the loop, and none late in one."""
         self._in_a_row = 0 if self.queue.empty() else self._in_a_row + 1
         if self._in_a_row >= MESSAGES_A_TURN:
             self._in_a_row = 0
@@ -116,7 +116,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         return message
 
     def send_receive_event_to_app(self) -> None:
-        """A message is whole: queue it, and read no more until it was taken."""
+        """Queue a complete message, and pause reading until the application has taken it."""
         parts, self.frames, self._begun_at = self.frames, [], 0.0
         if self.close_sent:
             self._count_frame()
@@ -135,23 +135,23 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         self._pause_reading()
 
     def handle_cont(self, event: Frame) -> None:
-        """A further part of a message."""
+        """Take a further fragment of a message."""
         if not event.fin and len(event.data) < SMALL_FRAGMENT_BYTES:
             self._count_frame()
         super().handle_cont(event)
 
     def handle_ping(self) -> None:
-        """A ping, whose pong is among what is to be sent."""
+        """Take a ping and answer it with a pong."""
         self._count_frame()
         super().handle_ping()
 
     def handle_pong(self, event: Frame) -> None:
-        """A pong, asked for or not."""
+        """Take a pong, expected or not."""
         self._count_frame()
         super().handle_pong(event)
 
     async def run_asgi(self) -> None:
-        """Give the application ways to end the connection, and tell it if there are too many."""
+        """Run the application. Its scope has ways to end the connection, and says whether there are too many."""
         extensions: dict[str, Any] = self.scope["extensions"]
         extensions[ABORT_EXTENSION] = self.transport.abort
         extensions[LEAVE_EXTENSION] = self._leave
@@ -165,7 +165,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
                 self._share.resize(0)
 
     async def send(self, message: Any) -> None:
-        """As ever; and a refused handshake is complete, so that uvicorn does not log it as a fault.
+        """Send a message. A refused handshake counts as complete, so that uvicorn does not log a fault.
 
         Raises ClientDisconnected, an OSError, while the connection is being lost.
         """
@@ -176,19 +176,19 @@ class FrameProtocol(WebSocketsSansIOProtocol):
             self.handshake_complete = True
 
     def pause_writing(self) -> None:
-        """The client reads slower than we write; what it has not read counts."""
+        """The client reads slower than the service writes: count the bytes that it has not read."""
         super().pause_writing()
         self._unread_bytes = self.transport.get_write_buffer_size()
         self._count_bytes()
 
     def resume_writing(self) -> None:
-        """It has caught up."""
+        """The client has read everything."""
         super().resume_writing()
         self._unread_bytes = 0
         self._count_bytes()
 
     def send_keepalive_ping(self) -> None:
-        """As ever; but who has begun a message must end it some time."""
+        """Send a ping; or cut the connection, if a message was begun and has not ended in time."""
         if self._begun_at and self.loop.time() - self._begun_at > self.settings.body_timeout_s:
             log.info("stream cut", code="deadline-exceeded", detail="a message took too long")
             self.transport.abort()
@@ -196,7 +196,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
             super().send_keepalive_ping()
 
     def keepalive_timeout(self) -> None:
-        """No pong: close, and cut if the close frame finds no reader either."""
+        """Close the connection, as no pong has come; cut it if the client does not read the close frame either."""
         super().keepalive_timeout()
         self.loop.call_later(ABORT_AFTER_S, self.transport.abort)
 
@@ -223,17 +223,17 @@ class FrameProtocol(WebSocketsSansIOProtocol):
             self.transport.pause_reading()
 
     def _count_frame(self) -> None:
-        """One frame more that carries nothing."""
+        """Count a frame without content; cut the connection if there are too many."""
         if self._idle_frames.take(time.monotonic()) and not self.transport.is_closing():
             log.info("stream cut", code="rate-limited", detail="too many control frames or small fragments")
             self.transport.abort()
 
     def _count_bytes(self) -> None:
-        """Hold what is here of this connection; cut it if there is no room."""
+        """Count the bytes that this connection holds; close it if the budget is used up."""
         begun = (self.conn.current_size or 0) + FRAGMENT_BYTES * len(self.frames)
         held = len(self._reader.buffer) + begun + self._queued_bytes + self._unread_bytes
         if not self._share.resize(held) and not self.transport.is_closing():
-            log.info("stream cut", code="at-capacity", detail="too much is under way at once")
+            log.info("stream cut", code="at-capacity", detail=TOO_MANY_BYTES)
             self._reader.buffer.clear()
             self.frames = []
             self.conn.fail(CloseCode.TRY_AGAIN_LATER, "at-capacity")

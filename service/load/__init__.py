@@ -1,1 +1,1 @@
-"""Driving a service with real frames and measuring it."""
+"""Drives a service with real frames and measures it."""

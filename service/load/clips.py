@@ -37,7 +37,7 @@ class Clip:
         return info.width, info.height
 
     def frame(self, index: int) -> bytes:
-        """The frame that is shown at ``index``; past the end the clip runs backwards and forwards again."""
+        """Return the frame at ``index``; past its end the clip runs backwards and then forwards again."""
         last = len(self.frames) - 1
         if last == 0:
             return self.frames[0]
@@ -45,7 +45,7 @@ class Clip:
         return self.frames[at if at <= last else 2 * last - at]
 
     def resized(self, size: tuple[int, int]) -> Clip:
-        """The clip with frames of ``size`` (w, h), encoded anew as JPEG."""
+        """Return the clip with frames of ``size`` (w, h), encoded again as JPEG."""
         if size == self.size:
             return self
         across, down = size[0] / self.size[0], size[1] / self.size[1]
@@ -55,14 +55,14 @@ class Clip:
 
 
 def encode(image: np.ndarray) -> bytes:
-    """JPEG of quality 80, what cameras and browsers send."""
+    """Return ``image`` as a JPEG of quality 80, as cameras and browsers send."""
     done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     assert done
     return data.tobytes()
 
 
 def open_clip(folder: Path | None, box: str | None, most: int = 1000) -> Clip:
-    """The images of ``folder`` (of OTB: with ``img`` and a ground truth), or the rendered sample clip.
+    """Return the images of ``folder`` (of OTB: with ``img`` and a ground truth), or the rendered sample clip.
 
     Without ``box`` ("x,y,w,h") and ground truth the target is the middle of the frame. Raises UsageError.
     """
@@ -90,7 +90,7 @@ def open_clip(folder: Path | None, box: str | None, most: int = 1000) -> Clip:
 
 
 def sample(length: int) -> Clip:
-    """The first frames of the rendered VGA clip."""
+    """Return the first frames of the rendered VGA clip."""
     sequence = synthetic.clip("sample")
     x, y, w, h = map(float, sequence.boxes[0])
     return Clip("sample", [encode(sequence.frames[i]) for i in range(length)], (x, y, w, h))

@@ -12,13 +12,13 @@ from ..client import AsyncClient, AsyncSession, ConnectionLost, Frame, Mode, Pro
 from ..client.connection import Connection, Protocol
 from .clips import Clip
 
-# How long the answers to the last frames may take.
+# Time for the answers to the last frames.
 TAIL_S = 5.0
 
 
 @dataclass(slots=True)
 class Tally:
-    """What one client saw; times in milliseconds."""
+    """The figures of one client; times in milliseconds."""
 
     sent: int = 0
     dropped: int = 0
@@ -45,7 +45,7 @@ class Tally:
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """How a client sends: ``fps`` frames a second, or with 0 the next one as soon as there is credit."""
+    """The pace of a client: ``fps`` frames/s, or with 0 the next frame as soon as there is credit."""
 
     seconds: float
     fps: float = 0.0
@@ -55,7 +55,7 @@ class Pace:
 
 
 async def drive(client: AsyncClient, session: AsyncSession, clip: Clip, pace: Pace) -> Tally:
-    """Stream ``clip`` to ``session`` for ``pace.seconds``. Raises Problem and ConnectionLost."""
+    """Stream ``clip`` to ``session`` for ``pace.seconds`` and return the figures. Raises Problem, ConnectionLost."""
     connection = await Connection.open(client.address, session.id, mode=pace.mode, protocol=pace.protocol)
     try:
         return await _Driver(connection, clip, pace).run()
@@ -121,7 +121,7 @@ class _Driver:
             self._answered.set()
 
     def _forget(self, seq: int) -> None:
-        """What is below an answered number in `latest` was dropped and will have no answer."""
+        """Forget the frames up to an answered number: in `latest` the older ones were dropped and get no answer."""
         for older in [older for older in self._sent_at if older <= seq]:
             del self._sent_at[older]
 
@@ -136,6 +136,6 @@ class _Driver:
 
 
 def quantile(values: Iterable[float], share: float) -> float:
-    """The value below which ``share`` of ``values`` lie; NaN of none."""
+    """Return the value below which ``share`` of ``values`` lie; NaN if there are none."""
     ordered = sorted(values)
     return ordered[min(len(ordered) - 1, int(share * len(ordered)))] if ordered else math.nan

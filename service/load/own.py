@@ -1,6 +1,6 @@
-"""A server of one's own: a child process on a free loopback port, for measurements, the demo and tests.
+"""A server in a child process on a free loopback port, for measurements, the demo and tests.
 
-It ends with the process that started it, killed or not.
+It ends with the process that started it, even if that one is killed.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from typing import Self
 START_S = 180.0
 STOP_S = 20.0
 POLL_S = 0.05
-# Its standard input ends with the process that started it, however that one ends. (What the kernel can signal at a
-# parent's death follows the thread that started it, which may end long before.)
+# The server ends when its standard input does, which the kernel closes with the parent process. (The signal at a
+# parent's death would follow the thread that started the server, which may end long before.)
 SERVE = """
 import os, signal, sys, threading
 def follow():
@@ -36,14 +36,14 @@ sys.exit(main(['serve']))
 
 
 class ServerFailed(Exception):
-    """The server ended or did not get ready; the message ends with what it last logged."""
+    """The server ended or did not get ready; the message ends with its last log lines."""
 
 
 class OwnServer:
     """``mfcmt serve`` with ``settings`` (fields of :class:`service.settings.Settings`), ready when entered.
 
-    ``port`` 0 takes a free one. What the caller's environment sets as ``MFCMT_*`` does not reach it;
-    ``environment`` is added to it. ``prelude`` is Python that the server runs before it starts.
+    ``port`` 0 takes a free one. Variables ``MFCMT_*`` of the caller's environment do not reach the server;
+    ``environment`` is added to its environment. ``prelude`` is Python that the server runs before it starts.
     """
 
     def __init__(
@@ -69,19 +69,19 @@ class OwnServer:
 
     @property
     def pid(self) -> int:
-        """The front's process id."""
+        """The process id of the front."""
         assert self._process is not None
         return self._process.pid
 
     @property
     def exit_code(self) -> int | None:
-        """None while it runs."""
+        """The exit code; None while the server runs."""
         assert self._process is not None
         return self._process.poll()
 
     @property
     def log(self) -> str:
-        """All that it has logged: JSON lines, unless ``log_format`` says otherwise."""
+        """The whole log, in JSON lines unless ``log_format`` is another."""
         return self._log.read_text(encoding="utf-8", errors="replace")
 
     def __enter__(self) -> Self:
@@ -93,7 +93,7 @@ class OwnServer:
         self._log.unlink(missing_ok=True)
 
     def start(self) -> None:
-        """Start and wait until it is ready; on the same port again after a :meth:`stop` or a crash."""
+        """Start the server and wait until it is ready; after a :meth:`stop` or a crash it takes the same port again."""
         self.port = self.port or free_port()
         settings = {"log_format": "json", "host": "127.0.0.1"} | self._settings | {"port": self.port}
         environment = {name: value for name, value in os.environ.items() if not name.startswith("MFCMT_")}
@@ -114,7 +114,7 @@ class OwnServer:
             raise
 
     def stop(self) -> None:
-        """SIGTERM, and SIGKILL where that is not enough."""
+        """Stop the server by SIGTERM, or by SIGKILL if it does not end in time."""
         if self._process is None:
             return
         self._process.send_signal(signal.SIGTERM)
@@ -148,7 +148,7 @@ class OwnServer:
 
 
 def free_port() -> int:
-    """A loopback port that nothing listens on just now."""
+    """Return a loopback port on which nothing listens now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

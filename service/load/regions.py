@@ -1,4 +1,4 @@
-"""What a client saves that sends only the part of each frame that the trackers look at."""
+"""The bytes that a client saves by sending only the needed region of each frame."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SMALL_TARGET_PX = (45.0, 55.0)
 
 @dataclass(frozen=True, slots=True)
 class Saving:
-    """Bytes of the cut over bytes of the whole frame, both encoded alike: its distribution over frames."""
+    """The distribution over frames of: bytes of the region over bytes of the whole frame, both encoded alike."""
 
     name: str
     size: tuple[int, int]
@@ -39,30 +39,30 @@ def savings(clips: Iterable[Clip], every: int) -> list[Saving]:
 
     Each ``every``-th frame is weighed. ``target_px`` is the mean root of the target's area.
     """
-    told, small = [], []
+    savings, small = [], []
     for clip in clips:
         frames = list(_shares(clip.resized(VGA), every))
-        told.append(_saving(clip.name, frames))
+        savings.append(_saving(clip.name, frames))
         small += [frame for frame in frames if SMALL_TARGET_PX[0] <= frame[0] <= SMALL_TARGET_PX[1]]
-    return [_saving("small targets", small), *told]
+    return [_saving("small targets", small), *savings]
 
 
 def clips_in(root: Path, most: int) -> Iterator[Clip]:
-    """The first ``most`` frames of each folder of images in ``root``."""
+    """Return the first ``most`` frames of each folder of images in ``root``."""
     for folder in sorted(root.iterdir()):
         if folder.is_dir() and images_of(folder):
             yield open_clip(folder, None, most)
 
 
 def small_target_clip(length: int) -> Clip:
-    """A rendered VGA clip with a target of 50 × 50 pixels."""
+    """Return a rendered VGA clip with a target of 50 × 50 pixels."""
     sequence = synthetic.clip("sample", target=(50.0, 50.0), zoom=1.0, length=length)
     x, y, w, h = map(float, sequence.boxes[0])
     return Clip("rendered", [encode(frame) for frame in sequence.frames], (x, y, w, h))
 
 
 def _shares(clip: Clip, every: int) -> Iterator[tuple[float, float]]:
-    """The root of the target's area, and the share of the bytes that the next frame's region has."""
+    """Return the root of the target's area, and the next region's share of the frame's bytes."""
     tracker = MFCMT()
     _, _, width, height = clip.box
     for index, frame in enumerate(clip.frames):

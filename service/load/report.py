@@ -1,4 +1,4 @@
-"""The ratios that the service is held to, measured in one run on the same frames."""
+"""The targets of the service, ratios that are measured in one run on the same frames."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .usage import MB, Usage, server_usage
 from .work import Work, in_process, lane_rates
 
 STEPS = 11
-"""Of :func:`measure`, each told when it begins."""
+"""Number of steps of :func:`measure`, which reports each when it begins."""
 MEMORY_SESSIONS = 16
 NEIGHBOUR_FPS = 30.0
 REGION_FRAMES, REGION_EVERY = 300, 5
@@ -26,7 +26,7 @@ REGION_FRAMES, REGION_EVERY = 300, 5
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A figure against its target: at most, or at least, ``limit``."""
+    """A measured figure and its target: at most, or at least, ``limit``."""
 
     name: str
     measured: float
@@ -41,7 +41,7 @@ class Target:
 
 @dataclass(slots=True)
 class Report:
-    """All targets, and the measurements that they come from."""
+    """All targets, and the measurements behind them."""
 
     targets: list[Target] = field(default_factory=list)
     work: list[Work] = field(default_factory=list)
@@ -52,14 +52,14 @@ class Report:
     savings: list[Saving] = field(default_factory=list)
 
     def as_dict(self) -> dict[str, Any]:
-        told = asdict(self)
-        for target, one in zip(told["targets"], self.targets, strict=True):
+        report = asdict(self)
+        for target, one in zip(report["targets"], self.targets, strict=True):
             target["met"] = one.met
-        return told
+        return report
 
 
 def measure(clip: Clip, seconds: float, sequences: Path | None, say: Callable[[str], None]) -> Report:
-    """Everything, one after the other; ``seconds`` is the length of one run. ``say`` is told the progress."""
+    """Measure everything in turn. A run takes ``seconds``; ``say`` is called with the name of each step."""
     report = Report()
     say("in-process work")
     report.work.append(in_process(clip, seconds))
@@ -119,7 +119,7 @@ def _load_all(server: OwnServer, clip: Clip, paces: list[Pace]) -> list[Outcome]
 
 
 async def _session_bytes(server: OwnServer, clip: Clip) -> float:
-    """What one more session adds to its lane: the slope between one session and all."""
+    """Return the memory that one more session adds to its lane: the slope between one session and all."""
     async with AsyncExitStack() as stack:
         client = await stack.enter_async_context(AsyncClient(server.url))
 

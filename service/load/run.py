@@ -1,4 +1,4 @@
-"""One run: some sessions at a rate, what their clients saw and what the server's processes spent."""
+"""A run: sessions at a rate, with the figures of their clients and of the server's processes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ R = TypeVar("R")
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of a run; CPU time and memory are known only of a server on this machine."""
+    """The figures of a run; CPU time and memory are known of a server on this machine alone."""
 
     sessions: int
     seconds: float
@@ -42,7 +42,7 @@ class Outcome:
 
     @property
     def cpu_ms(self) -> float:
-        """CPU time of the whole service, for one frame answered."""
+        """The CPU time of the whole service per answered frame."""
         return (self.front_cpu_ms or 0.0) + (self.lanes_cpu_ms or 0.0)
 
     def as_dict(self) -> dict[str, Any]:
@@ -61,7 +61,7 @@ def run_loop(work: Coroutine[Any, Any, R]) -> R:
 async def load(
     url: str, clip: Clip, paces: Sequence[Pace], *, key: str | None = None, front: int | None = None
 ) -> list[Outcome]:
-    """Drive one session at each of ``paces`` at once; one outcome for all if they are alike, else one for each.
+    """Drive a session at each of ``paces`` at once. Return one outcome if all paces are equal, else one for each.
 
     ``front`` is the process id of the server's front, where it runs on this machine.
     """
@@ -75,7 +75,7 @@ async def load(
         after = server_usage(front) if front is not None else None
     if len(tallies) == 1 or len(set(paces)) == 1:
         return [_outcome(tallies, before, after)]
-    return [_outcome([tally], None, None) for tally in tallies]  # what they spent cannot be told apart
+    return [_outcome([tally], None, None) for tally in tallies]  # their CPU time cannot be separated
 
 
 def _outcome(tallies: Sequence[Tally], before: dict[str, Usage] | None, after: dict[str, Usage] | None) -> Outcome:

@@ -1,4 +1,4 @@
-"""Measurements in words and columns."""
+"""Measurements as text."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .work import Work
 
 
 def of_run(run: Outcome) -> str:
-    """One run."""
+    """Return the text of one run."""
     lines = [*_run(run)]
     if run.before and run.after:
         lines += _memory(run.before, run.after)
@@ -21,7 +21,7 @@ def of_run(run: Outcome) -> str:
 
 
 def of_report(report: Report, clip: Clip) -> str:
-    """All that was measured, and the targets last."""
+    """Return the text of all measurements, with the targets last."""
     mean_kb = sum(map(len, clip.frames)) / len(clip.frames) / 1e3
     lines = [
         f"{clip.name}, {clip.size[0]}x{clip.size[1]}, {mean_kb:.0f} kB a frame",

@@ -13,7 +13,7 @@ MB = 1e6
 
 @dataclass(frozen=True, slots=True)
 class Usage:
-    """One process. ``private_bytes`` leaves out what it shares with others, as forked lanes do."""
+    """The CPU time and memory of a process. ``private_bytes`` excludes memory shared with other processes."""
 
     cpu_s: float
     rss_bytes: int
@@ -21,12 +21,12 @@ class Usage:
 
 
 def usage(pid: int) -> Usage:
-    """What the process uses now; zeros where there is no /proc."""
+    """Return what the process uses now; zeros without /proc."""
     return Usage(cpu_s(pid), rss_bytes(pid), _private_bytes(pid))
 
 
 def server_processes(front: int) -> dict[str, int]:
-    """Process ids by role: ``front``, ``fork server`` and ``lane 0`` ..., in the order of their start."""
+    """Return process ids by role: ``front``, ``fork server`` and ``lane 0`` …, in the order of their start."""
     parents = _parents()
     roles = {"front": front}
     forkserver = next((pid for pid, parent in parents.items() if parent == front and _forks(pid)), None)
@@ -38,12 +38,12 @@ def server_processes(front: int) -> dict[str, int]:
 
 
 def server_usage(front: int) -> dict[str, Usage]:
-    """What each process of the server uses now, by role."""
+    """Return what each process of the server uses now, by role."""
     return {role: usage(pid) for role, pid in server_processes(front).items()}
 
 
 def cpu_between(before: Mapping[str, Usage], after: Mapping[str, Usage]) -> dict[str, float]:
-    """CPU seconds of the front and of all lanes together between two readings."""
+    """Return the CPU seconds of the front and of all lanes together between two readings."""
     spent = {role: now.cpu_s - before[role].cpu_s for role, now in after.items() if role in before}
     lanes = sum(cpu for role, cpu in spent.items() if role.startswith("lane"))
     return {"front": sum(spent.values()) - lanes, "lanes": lanes}

@@ -1,4 +1,4 @@
-"""The same frames without a service: what decoding and tracking cost in one process, and what lanes reach."""
+"""The same frames without a service: the cost of decoding and tracking in one process, and the rates of lanes."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from .drive import quantile
 
 WARM_FRAMES = 30
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-# Calls that wait in front of each lane, so that no lane ever waits.
+# Calls that wait for each lane, so that no lane is ever idle.
 AHEAD = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """Decoding and tracking one frame in-process: median wall time and mean CPU time, in milliseconds."""
+    """The cost of one frame in-process: median wall time and mean CPU time, in milliseconds."""
 
     frames: int
     wall_ms: float
@@ -30,7 +30,7 @@ class Work:
 
 
 def in_process(clip: Clip, seconds: float) -> Work:
-    """Decode and track ``clip`` for ``seconds``, alone in a fresh process set up as a lane is."""
+    """Decode and track ``clip`` for ``seconds`` in a new process that is set up as a lane is."""
     os.environ.update(dict.fromkeys(THREADS, "1"))  # before the child loads its libraries
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         return pool.submit(_in_process, clip, seconds).result()
@@ -64,7 +64,7 @@ def _in_process(clip: Clip, seconds: float) -> Work:
 
 
 def lane_rates(clip: Clip, lanes: int, seconds: float) -> list[float]:
-    """Frames a second of each of ``lanes`` lanes with one busy session each, with no client and no front."""
+    """Return the frames/s of each of ``lanes`` lanes with one busy session each, without clients and front."""
     return asyncio.run(_lane_rates(clip, lanes, seconds))
 
 

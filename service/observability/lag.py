@@ -1,4 +1,4 @@
-"""How late the event loop is, and how long it is busy at a stretch."""
+"""The lag of the event loop."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ WINDOW_S = 30.0
 
 
 class Lag:
-    """The lateness of a timer: all of them in ``histogram``, and the highest of the last half minute or minute."""
+    """Measures how late a timer of the event loop is: a histogram, and the maximum of the last 30 to 60 seconds."""
 
     def __init__(self, histogram: Histogram, clock: Callable[[], float] = time.monotonic) -> None:
         self._histogram, self._clock = histogram, clock
@@ -21,19 +21,19 @@ class Lag:
         self._before = self._now = 0.0
 
     def observe(self, late_s: float) -> None:
-        """One timer was so late."""
+        """Count a timer that was ``late_s`` seconds late."""
         self._histogram.observe(late_s)
         self._turn()
         self._now = max(self._now, late_s)
 
     @property
     def highest_s(self) -> float:
-        """The most of the last 30 to 60 seconds: a scrape every 15 or 30 sees every stall."""
+        """The maximum of the last 30 to 60 seconds, in seconds. A scrape every 15 or 30 seconds sees every stall."""
         self._turn()
         return max(self._before, self._now)
 
     async def watch(self) -> None:
-        """Observe for as long as the service runs."""
+        """Measure every 50 ms while the service runs."""
         while True:
             due = time.monotonic() + EVERY_S
             await asyncio.sleep(EVERY_S)

@@ -1,4 +1,4 @@
-"""structlog: JSON in a container, readable on a terminal; uvicorn's own lines go the same way."""
+"""Logging by structlog: JSON in a container, plain text on a terminal, for uvicorn's lines too."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ SECRET_NAMES = frozenset({"authorization", "x-api-key", "key", "ticket", "cookie
 
 
 def is_console(form: Literal["auto", "json", "console"]) -> bool:
-    """Whether what is logged is meant for eyes."""
+    """Return whether the log is plain text for people."""
     return form == "console" or (form == "auto" and sys.stderr.isatty())
 
 
 def configure(form: Literal["auto", "json", "console"], level: str) -> None:
-    """Set logging up for this process; to standard error."""
+    """Set up logging for this process, to standard error."""
     shared: list[Any] = [
         structlog.contextvars.merge_contextvars,
         structlog.stdlib.add_log_level,
@@ -52,14 +52,14 @@ def configure(form: Literal["auto", "json", "console"], level: str) -> None:
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(level.upper())
-    # uvicorn's lines at INFO repeat ours, and name paths with their query.
+    # At INFO uvicorn repeats our lines, with paths and their queries.
     for name in ("uvicorn", "uvicorn.error", "uvicorn.access", "asyncio", "websockets"):
         logging.getLogger(name).setLevel(logging.WARNING)
-    logging.getLogger("uvicorn.error").addFilter(_told_elsewhere)
+    logging.getLogger("uvicorn.error").addFilter(_is_no_repetition)
 
 
-def _told_elsewhere(record: logging.LogRecord) -> bool:
-    """Leave out what a stranger can cause at will: the refusal is a line of ours already, and counted."""
+def _is_no_repetition(record: logging.LogRecord) -> bool:
+    """Return False for lines that any client can cause at will: the service logs and counts the refusal itself."""
     return record.msg not in UVICORNS_OWN
 
 

@@ -1,4 +1,4 @@
-"""What the service counts. Names and buckets by Prometheus' conventions; no label grows with sessions."""
+"""The metrics of the service. They follow Prometheus' conventions; no label has a value per session or client."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 SECONDS = (0.0005, 0.001, 0.002, 0.003, 0.005, 0.0075, 0.01, 0.02, 0.03, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5)
 CONFIDENCES = tuple(tenth / 10 for tenth in range(1, 11))
 SIZES = tuple(2**n for n in range(16, 27))
-# What the front does itself takes tens of microseconds, until something is wrong.
+# Stages in the front take tens of microseconds unless something is wrong.
 SHORT_SECONDS = (0.00005, 0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.05, 0.25, 1.0)
 DROPS = ("superseded", "frame-too-large", "unsupported-image", "frame-undecodable", "frame-size-changed", "bad-region")
 CAUSES = (LaneLoss.DIED, LaneLoss.HUNG, LaneLoss.MEMORY, LaneLoss.START)
@@ -42,7 +42,7 @@ CLOSES = (
 
 
 class Metrics:
-    """All metrics of one service, in a registry of their own; and ``tracing``, where that is on."""
+    """All metrics of one service, in a registry of their own, and its ``tracing`` if that is on."""
 
     def __init__(self, tracing: Tracing | None = None) -> None:
         self.tracing = tracing
@@ -132,29 +132,29 @@ class Metrics:
         limit.set(budget.limit)
 
     def stream_frame(self, size: int) -> None:
-        """A frame message has come."""
+        """Count a frame message of ``size`` bytes."""
         self._by_stream.inc()
         self.frame_bytes.inc(size)
 
     def http_frame(self, size: int) -> None:
-        """A frame has come in a call of its own."""
+        """Count a frame of ``size`` bytes that came in an HTTP call."""
         self._by_http.inc()
         self.frame_bytes.inc(size)
 
     def refused_message(self, code: str, *, frame: bool) -> None:
-        """A client was told of a problem on its stream."""
+        """Count a refusal on a stream; ``frame``: of a frame."""
         self.problems.labels(code=code).inc()
         if frame:
             self.frames_dropped.labels(reason=code).inc()
 
     def checkpoint(self, reason: str, size: int, seconds: float) -> None:
-        """A session's state was kept."""
+        """Count a checkpoint of ``size`` bytes that took ``seconds``."""
         self.checkpoints.labels(reason=reason).inc()
         self.checkpoint_bytes.observe(size)
         self.checkpoint_seconds.observe(seconds)
 
     def recovered(self, cause: str, operations: int, seconds: float) -> None:
-        """A session's state was brought back."""
+        """Count a restored session that needed ``operations`` repeated and took ``seconds``."""
         self.recoveries.labels(cause=cause).inc()
         self.replayed.inc(operations)
         self.recovery_seconds.observe(seconds)
@@ -168,7 +168,7 @@ class Metrics:
     def frame(
         self, stages: Stages, session: str, seq: int, within: Span | None, *, live: bool, sent_s: float = 0.0
     ) -> None:
-        """One frame was tracked, and answered in ``sent_s``; the rest is for :meth:`Tracing.frame`."""
+        """Count a tracked frame whose answer was written in ``sent_s``; for the rest see :meth:`Tracing.frame`."""
         trace_id = None
         if self.tracing is not None and within is not None:
             trace_id = self.tracing.frame(stages, sent_s, session, seq, within, live=live)

@@ -1,4 +1,4 @@
-"""Log lines that a stranger can cause: so many a second of each kind, and how many were left out."""
+"""Log lines that any client can cause, limited to a number per second of each kind."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LINES_A_SECOND = 20
 
 @dataclass(slots=True)
 class _Kind:
-    """The lines of one event and code in the second that began at ``since``."""
+    """Counts the lines of one event and code in the second that began at ``since``."""
 
     since: float
     written: int = 0
@@ -22,14 +22,14 @@ class _Kind:
 
 
 class Sampled:
-    """A log of refusals; a line after others were left out says how many as ``left_out``."""
+    """Logs refusals. When lines were left out, the next one says how many as ``left_out``."""
 
     def __init__(self, log: structlog.stdlib.BoundLogger, clock: Callable[[], float] = time.monotonic) -> None:
         self._log, self._clock = log, clock
         self._kinds: dict[tuple[str, str], _Kind] = {}
 
     def info(self, event: str, *, code: str, **fields: Any) -> None:
-        """Write the line unless there were too many of its event and ``code`` in this second."""
+        """Write a line, unless there were too many of this event and ``code`` in this second."""
         now = self._clock()
         kind = self._kinds.get((event, code))
         if kind is None:

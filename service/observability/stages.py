@@ -1,4 +1,4 @@
-"""Where the time of one frame went."""
+"""The stages of a frame's way through the service."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from typing import NamedTuple
 
 
 class Stages(NamedTuple):
-    """Seconds of each stage, in the order of the way of a frame; their sum is arrival to result."""
+    """Seconds that a frame spent in each stage, in order. Their sum is the time from arrival to result."""
 
     receive: float
-    """From the whole message in the front to its place in the queue: parsed, checked, numbered."""
+    """From the complete message in the front to its place in the queue: parsing, checks, numbering."""
     queue: float
-    """Waiting for the session: for the frame or the control before it."""
+    """Waiting for the frame or control before it in the session."""
     transit: float
-    """To the lane and back: its queue, where sessions wait for each other, and both sockets."""
+    """To the lane and back: both sockets, and the lane's queue, where sessions wait for each other."""
     decode: float
-    """In the lane: header limits and pixels."""
+    """In the lane: checks of the header, and decoding."""
     track: float
-    """In the lane: all targets."""
+    """In the lane: tracking of all targets."""

@@ -1,4 +1,4 @@
-"""OpenTelemetry spans of calls and frames; not imported unless ``MFCMT_OTLP_ENDPOINT`` is set (extra ``otel``)."""
+"""OpenTelemetry spans of calls and frames. Imported only if ``MFCMT_OTLP_ENDPOINT`` is set (extra ``otel``)."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapProp
 from .stages import Stages
 
 SECOND_NS = 1_000_000_000
-# For one batch, its retries included; the last one is waited for when the service stops.
+# Time for one batch with its retries. When the service stops, it waits for the last batch.
 EXPORT_S = 2.0
 
 
 class Tracing:
-    """Makes spans and sends them, in batches and from a thread of its own, to ``endpoint``/v1/traces.
+    """Makes spans and sends them to ``endpoint``/v1/traces, in batches and from a thread of its own.
 
-    ``ratio`` is the share of calls and frames that begin a trace; a call with a ``traceparent`` goes by that.
+    ``ratio`` is the share of calls and frames that begin a trace. A call with a ``traceparent`` header follows that.
     """
 
     def __init__(self, endpoint: str, ratio: float, version: str) -> None:
@@ -36,16 +36,16 @@ class Tracing:
         self._propagator = TraceContextTextMapPropagator()
 
     def begin(self, method: str, headers: Mapping[str, str]) -> Span:
-        """The span of a call or a handshake, which :meth:`end` names."""
+        """Return the span of a call or handshake; :meth:`end` gives it its name."""
         context = self._propagator.extract(headers, Context())
         return self._tracer.start_span(method, context, SpanKind.SERVER)
 
     def id(self, span: Span) -> str | None:
-        """The id of the span's trace, if that is kept."""
+        """Return the id of the span's trace; None if the trace is not recorded."""
         return format_trace_id(span.get_span_context().trace_id) if span.is_recording() else None
 
     def end(self, span: Span, method: str, route: str, status: int, problem: str | None) -> None:
-        """The call was answered."""
+        """End the span of a call that was answered."""
         if span.is_recording():
             span.update_name(f"{method} {route}")
             span.set_attributes(
@@ -58,10 +58,10 @@ class Tracing:
         span.end()
 
     def frame(self, stages: Stages, sent_s: float, session: str, seq: int, within: Span, *, live: bool) -> str | None:
-        """A frame whose last stage ends now; the id of its trace if that is kept.
+        """Record a frame whose last stage ends now. Return the id of its trace; None if the trace is not recorded.
 
-        ``within`` is the call that brought the frame and its parent, or, once it is over (not ``live``), the
-        handshake of the stream, to which each of many frames is only linked.
+        With ``live``, ``within`` is the span of the call that brought the frame, and the parent of the frame's span.
+        Without, it is the ended span of the stream's handshake, to which the spans of its many frames are linked.
         """
         length = int((sum(stages) + sent_s) * SECOND_NS)
         at = time.time_ns() - length
@@ -76,7 +76,7 @@ class Tracing:
         at = self._part(span, "receive", at, stages.receive)[1]
         at = self._part(span, "queue", at, stages.queue)[1]
         lane, lane_end = self._part(span, "lane", at, stages.transit + stages.decode + stages.track)
-        # The two clocks are not compared: what a lane did is shown in the middle of its round trip.
+        # The clocks of front and lane are not compared: the lane's work is shown in the middle of the round trip.
         at = self._part(lane, "decode", at + int(stages.transit / 2 * SECOND_NS), stages.decode)[1]
         self._part(lane, "track", at, stages.track)
         if sent_s:
@@ -91,5 +91,5 @@ class Tracing:
         return part, end
 
     def stop(self) -> None:
-        """Send what is left; takes as long as the collector does, within the exporter's limit."""
+        """Send the remaining spans. This takes as long as the collector does, up to the exporter's limit."""
         self._provider.shutdown()

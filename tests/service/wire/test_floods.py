@@ -212,7 +212,7 @@ async def test_messages_that_are_not_finished_have_a_bound_together(serve: Serve
     for end in waiting:
         end.cancel()
     assert (await wire.http.get("/livez")).status_code == 200
-    assert "too much is under way" in wire.server.log
+    assert "too many bytes under way" in wire.server.log
     for _, writer in streams:
         writer.transport.abort()
     async with asyncio.timeout(PATIENCE_S):
