@@ -75,7 +75,7 @@ class PrometheusExporter:
 
     def _now(self, usage: list[LaneUsage]) -> Iterator[Metric]:
         yield GaugeMetricFamily("mfcmt_sessions_active", "Sessions that live now", self._sessions())
-        yield GaugeMetricFamily("mfcmt_sessions_capacity", "Sessions that there is room for", self._capacity)
+        yield GaugeMetricFamily("mfcmt_sessions_capacity", "Maximum of sessions", self._capacity)
         rss = GaugeMetricFamily("mfcmt_lane_rss_bytes", "Resident memory of a lane", labels=["lane"])
         cpu = CounterMetricFamily("mfcmt_lane_cpu_seconds", "CPU time of a lane's process", labels=["lane"])
         keys = GaugeMetricFamily("mfcmt_lane_sessions", "Sessions in a lane", labels=["lane"])
@@ -90,11 +90,11 @@ class PrometheusExporter:
             rss.add_metric([str(used.lane)], used.rss_bytes)
             cpu.add_metric([str(used.lane)], used.cpu_s)
         yield from (rss, cpu, keys, ready, failing)
-        kept = GaugeMetricFamily("mfcmt_recovery_bytes", "Kept to restore sessions", labels=["what"])
+        kept = GaugeMetricFamily("mfcmt_recovery_bytes", "Bytes kept to restore sessions", labels=["what"])
         kept.add_metric(["checkpoints"], self._kept.checkpoints)
         kept.add_metric(["frames"], self._kept.frames)
         yield kept
-        yield GaugeMetricFamily("mfcmt_recovery_bytes_limit", "Most that is kept to restore sessions", self._kept.limit)
+        yield GaugeMetricFamily("mfcmt_recovery_bytes_limit", "Maximum of bytes kept to restore sessions", self._kept.limit)
         versions = next((status.versions for status in statuses if status.versions), {})
         names = ["version", "opencv", "numpy"]
         build = GaugeMetricFamily("mfcmt_build_info", "Versions; always 1", labels=names)

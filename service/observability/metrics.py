@@ -62,11 +62,11 @@ class Metrics:
         def sizes(name: str, text: str) -> Histogram:
             return Histogram(name, text, buckets=SIZES, registry=self.registry)
 
-        self.sessions_created = counter("mfcmt_sessions_created_total", "Sessions made or restored", preset=Preset)
+        self.sessions_created = counter("mfcmt_sessions_created_total", "Sessions created or restored", preset=Preset)
         self.sessions_closed = counter("mfcmt_sessions_closed_total", "Sessions ended", reason=EndReason)
         self.refused_sessions = counter(
             "mfcmt_admission_rejected_total",
-            "Sessions refused for want of a place",
+            "Sessions refused because no place was free",
             reason=("at-capacity", "draining", "over-quota"),
         )
         self.frames_received = counter(
@@ -74,7 +74,7 @@ class Metrics:
         )
         self.frame_bytes = counter("mfcmt_frame_bytes_total", "Encoded bytes of frames received")
         self.frames_dropped = counter("mfcmt_frames_dropped_total", "Frames that were not tracked", reason=DROPS)
-        self.problems = counter("mfcmt_problems_total", "Refusals told to clients", code=CATALOGUE)
+        self.problems = counter("mfcmt_problems_total", "Refusals sent to clients", code=CATALOGUE)
         self.requests = counter("mfcmt_http_requests_total", "HTTP calls answered", method=(), path=(), status=())
         self.streams = Gauge("mfcmt_ws_connections", "Attached streams", registry=self.registry)
         self.stream_closes = counter(
@@ -82,10 +82,10 @@ class Metrics:
         )
         self.lane_restarts = counter("mfcmt_lane_restarts_total", "Lanes replaced", cause=CAUSES)
         self.receive_seconds = seconds(
-            "mfcmt_frame_receive_seconds", "From a frame's arrival to the queue: parsed and checked", SHORT_SECONDS
+            "mfcmt_frame_receive_seconds", "Time from a frame's arrival to the queue: parsing and checks", SHORT_SECONDS
         )
-        self.queue_seconds = seconds("mfcmt_frame_queue_seconds", "Waiting for the session's frame before it")
-        self.transit_seconds = seconds("mfcmt_frame_transit_seconds", "To the lane and back, its queue included")
+        self.queue_seconds = seconds("mfcmt_frame_queue_seconds", "Time that a frame waits for the one before it in its session")
+        self.transit_seconds = seconds("mfcmt_frame_transit_seconds", "Time to the lane and back, with the lane's queue")
         self.decode_seconds = seconds("mfcmt_frame_decode_seconds", "Decoding of a frame")
         self.track_seconds = seconds("mfcmt_frame_track_seconds", "Tracking of all targets in a frame")
         self.target_confidence = Histogram(
@@ -100,26 +100,26 @@ class Metrics:
         self.send_seconds = seconds(
             "mfcmt_frame_send_seconds", "Writing a stream's result to its socket", SHORT_SECONDS
         )
-        self.total_seconds = seconds("mfcmt_frame_total_seconds", "From a frame's arrival to its result")
+        self.total_seconds = seconds("mfcmt_frame_total_seconds", "Time from a frame's arrival to its result")
         self.request_seconds = seconds("mfcmt_http_request_seconds", "HTTP calls, from head to last byte")
         self.loop_lag_seconds = seconds("mfcmt_event_loop_lag_seconds", "How late a timer of the event loop fires")
         self.lag = Lag(self.loop_lag_seconds)
         highest = Gauge(
             "mfcmt_event_loop_lag_max_seconds",
-            "Most that a timer of the event loop was late in the last 30 to 60 seconds",
+            "Maximum lateness of a timer of the event loop in the last 30 to 60 seconds",
             registry=self.registry,
         )
         highest.set_function(lambda: self.lag.highest_s)
-        self.snapshot_bytes = sizes("mfcmt_snapshot_bytes", "Size of snapshots handed out")
+        self.snapshot_bytes = sizes("mfcmt_snapshot_bytes", "Size of snapshots sent to clients")
         self.checkpoint_bytes = sizes("mfcmt_checkpoint_bytes", "Size of checkpoints")
         self.checkpoints = counter("mfcmt_checkpoints_total", "Checkpoints of sessions", reason=WHYS)
-        self.checkpoint_seconds = seconds("mfcmt_checkpoint_seconds", "From the wish for a checkpoint to its bytes")
+        self.checkpoint_seconds = seconds("mfcmt_checkpoint_seconds", "Time from the request of a checkpoint to its bytes")
         self.recoveries = counter("mfcmt_recoveries_total", "Sessions restored in a lane", cause=RETURNS)
-        self.recovery_seconds = seconds("mfcmt_recovery_seconds", "From a session's loss of its lane to its return")
+        self.recovery_seconds = seconds("mfcmt_recovery_seconds", "Time from the loss of a session's lane to its return")
         self.moves = counter("mfcmt_session_moves_total", "Sessions moved from a full lane to an idle one")
-        self.replayed = counter("mfcmt_replayed_operations_total", "Frames and controls made again in a fresh lane")
+        self.replayed = counter("mfcmt_replayed_operations_total", "Frames and controls repeated in a new lane")
         self.state_write_seconds = seconds("mfcmt_state_write_seconds", "Writes to the state directory")
-        self.state_write_failures = counter("mfcmt_state_write_failures_total", "Writes that failed, to be tried again")
+        self.state_write_failures = counter("mfcmt_state_write_failures_total", "Writes that failed and are tried again")
 
         self._by_stream = self.frames_received.labels(via="stream")
         self._by_http = self.frames_received.labels(via="http")
@@ -128,7 +128,7 @@ class Metrics:
         """Export how much of ``budget`` is in use."""
         held = Gauge("mfcmt_under_way_bytes", "Bodies, messages and answers under way", registry=self.registry)
         held.set_function(lambda: budget.held)
-        limit = Gauge("mfcmt_under_way_bytes_limit", "Most that may be under way at once", registry=self.registry)
+        limit = Gauge("mfcmt_under_way_bytes_limit", "Maximum of bytes under way", registry=self.registry)
         limit.set(budget.limit)
 
     def stream_frame(self, size: int) -> None:
