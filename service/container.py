@@ -7,7 +7,7 @@ from pathlib import Path
 
 CGROUP = Path("/sys/fs/cgroup")
 MIB = 1024 * 1024
-# The bytes under way may take one part in so many of the memory, within these bounds.
+# The memory is divided by this for the bytes under way, within these bounds.
 SHARE = 8
 LEAST, MOST = 128 * MIB, 512 * MIB
 

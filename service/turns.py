@@ -1,7 +1,7 @@
 """Fair turns of the event loop: work that can wait stands in one queue, and the oldest goes first.
 
-A turn is what the loop does between two looks at its sockets. Without the queue, whoever is called first in
-every turn could use all of it, and the others would wait for as long as that one has work.
+A turn is the work of the loop between two polls of its sockets. Without the queue, the first callback of every turn
+could use all of it, and the others would wait for as long as that one has work.
 """
 
 from __future__ import annotations

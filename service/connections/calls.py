@@ -19,7 +19,7 @@ from ..sessions.byte_budget import ANONYMOUS, ByteBudget, Reservation
 from ..settings import Settings
 from .base import CUT_ABOVE, OVER_CONNECTION_LIMIT, SHARE, TOO_MANY_BYTES, Timer
 
-# The parser gets so much at a time where it may hold many pieces: two hundred chunks or fifty calls.
+# Bytes that the parser gets at a time where they may hold many pieces: two hundred chunks or fifty calls.
 SLICE_BYTES = 1024
 # Limits of a head: its request line, one header, and their number.
 MAX_URL_BYTES = MAX_HEADER_BYTES = 8192

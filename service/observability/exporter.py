@@ -94,7 +94,9 @@ class PrometheusExporter:
         kept.add_metric(["checkpoints"], self._kept.checkpoints)
         kept.add_metric(["frames"], self._kept.frames)
         yield kept
-        yield GaugeMetricFamily("mfcmt_recovery_bytes_limit", "Maximum of bytes kept to restore sessions", self._kept.limit)
+        yield GaugeMetricFamily(
+            "mfcmt_recovery_bytes_limit", "Maximum of bytes kept to restore sessions", self._kept.limit
+        )
         versions = next((status.versions for status in statuses if status.versions), {})
         names = ["version", "opencv", "numpy"]
         build = GaugeMetricFamily("mfcmt_build_info", "Versions; always 1", labels=names)

@@ -84,8 +84,12 @@ class Metrics:
         self.receive_seconds = seconds(
             "mfcmt_frame_receive_seconds", "Time from a frame's arrival to the queue: parsing and checks", SHORT_SECONDS
         )
-        self.queue_seconds = seconds("mfcmt_frame_queue_seconds", "Time that a frame waits for the one before it in its session")
-        self.transit_seconds = seconds("mfcmt_frame_transit_seconds", "Time to the lane and back, with the lane's queue")
+        self.queue_seconds = seconds(
+            "mfcmt_frame_queue_seconds", "Time that a frame waits for the one before it in its session"
+        )
+        self.transit_seconds = seconds(
+            "mfcmt_frame_transit_seconds", "Time to the lane and back, with the lane's queue"
+        )
         self.decode_seconds = seconds("mfcmt_frame_decode_seconds", "Decoding of a frame")
         self.track_seconds = seconds("mfcmt_frame_track_seconds", "Tracking of all targets in a frame")
         self.target_confidence = Histogram(
@@ -113,13 +117,19 @@ class Metrics:
         self.snapshot_bytes = sizes("mfcmt_snapshot_bytes", "Size of snapshots sent to clients")
         self.checkpoint_bytes = sizes("mfcmt_checkpoint_bytes", "Size of checkpoints")
         self.checkpoints = counter("mfcmt_checkpoints_total", "Checkpoints of sessions", reason=WHYS)
-        self.checkpoint_seconds = seconds("mfcmt_checkpoint_seconds", "Time from the request of a checkpoint to its bytes")
+        self.checkpoint_seconds = seconds(
+            "mfcmt_checkpoint_seconds", "Time from the request of a checkpoint to its bytes"
+        )
         self.recoveries = counter("mfcmt_recoveries_total", "Sessions restored in a lane", cause=RETURNS)
-        self.recovery_seconds = seconds("mfcmt_recovery_seconds", "Time from the loss of a session's lane to its return")
+        self.recovery_seconds = seconds(
+            "mfcmt_recovery_seconds", "Time from the loss of a session's lane to its return"
+        )
         self.moves = counter("mfcmt_session_moves_total", "Sessions moved from a full lane to an idle one")
         self.replayed = counter("mfcmt_replayed_operations_total", "Frames and controls repeated in a new lane")
         self.state_write_seconds = seconds("mfcmt_state_write_seconds", "Writes to the state directory")
-        self.state_write_failures = counter("mfcmt_state_write_failures_total", "Writes that failed and are tried again")
+        self.state_write_failures = counter(
+            "mfcmt_state_write_failures_total", "Writes that failed and are tried again"
+        )
 
         self._by_stream = self.frames_received.labels(via="stream")
         self._by_http = self.frames_received.labels(via="http")

@@ -67,8 +67,8 @@ class Tracing:
         at = time.time_ns() - length
         parent = set_span_in_context(within, Context()) if live else Context()
         links = [] if live else [Link(within.get_span_context())]
-        told: dict[str, str | int] = {"mfcmt.session": session, "mfcmt.seq": seq}
-        span = self._tracer.start_span("frame", parent, attributes=told, links=links, start_time=at)
+        attributes: dict[str, str | int] = {"mfcmt.session": session, "mfcmt.seq": seq}
+        span = self._tracer.start_span("frame", parent, attributes=attributes, links=links, start_time=at)
         trace_id = self.id(span)
         if trace_id is None:
             return None

@@ -1,4 +1,4 @@
-"""Faults at random moments under lossless streams: what is lost, what differs, how long it takes."""
+"""Causes faults at random moments under lossless streams, and counts results that are lost or differ, and the time."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Plan:
 
 @dataclass(slots=True)
 class Stream:
-    """What one client sent and got; frames by their index, times in seconds of the monotonic clock."""
+    """The frames and results of one client, by index; times in seconds of the monotonic clock."""
 
     sent_at: list[float] = field(default_factory=list)
     answered_at: dict[int, float] = field(default_factory=dict)
@@ -111,7 +111,7 @@ class Report:
 
     @property
     def flawless(self) -> bool:
-        """Nothing is missing, nothing differs."""
+        """True if no result is missing or differs."""
         return not (self.lost or self.refused or self.differ)
 
     def as_dict(self) -> dict[str, Any]:
@@ -119,7 +119,7 @@ class Report:
 
 
 def chaos(clip: Clip, plan: Plan, say: Tell) -> Report:
-    """Run ``plan`` against a server of its own; ``say`` is told of each step."""
+    """Run ``plan`` against a new server; ``say`` is called with each step."""
     with tempfile.TemporaryDirectory(prefix="mfcmt-chaos-") as folder:
         (Path(folder) / "sitecustomize.py").write_text(GROW)
         with OwnServer(

@@ -1,4 +1,4 @@
-"""Bad inputs by the seed: good ones damaged, and made-up ones that look like good ones from afar."""
+"""Bad inputs by a seed: damaged good ones, and invented ones that resemble good ones."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ METHODS = ["GET", "POST", "PUT", "DELETE", "PATCH", "OPTIONS", "TRACE", "get", "
 
 
 class Mutator:
-    """Everything it makes follows from ``seed``."""
+    """Makes inputs that depend on ``seed`` alone."""
 
     def __init__(self, seed: int, jpeg: bytes) -> None:
         self.chance = random.Random(seed)
@@ -80,19 +80,19 @@ class Mutator:
 
     def changed(self, good: dict[str, Any]) -> dict[str, Any]:
         """``good`` with a field changed, missing or too many."""
-        chance, told = self.chance, dict(good)
+        chance, fields = self.chance, dict(good)
         match chance.randrange(4):
             case 0:
-                told.pop(chance.choice(list(told)))
+                fields.pop(chance.choice(list(fields)))
             case 1:
-                told[chance.choice(("extra", "Type", "frame ", "__class__"))] = self.value()
+                fields[chance.choice(("extra", "Type", "frame ", "__class__"))] = self.value()
             case _:
-                told[chance.choice(list(told))] = self.value()
-        return told
+                fields[chance.choice(list(fields))] = self.value()
+        return fields
 
-    def packed(self, told: Any, kind: str) -> bytes:
-        """``told`` as JSON or MessagePack, now and then damaged."""
-        data = json.dumps(told, default=repr).encode() if kind.endswith("json") else _msgpack(told)
+    def packed(self, fields: Any, kind: str) -> bytes:
+        """``fields`` as JSON or MessagePack, now and then damaged."""
+        data = json.dumps(fields, default=repr).encode() if kind.endswith("json") else _msgpack(fields)
         return self.damaged(data) if self.chance.random() < 0.3 else data
 
     def head(self, sid: str) -> bytes:
@@ -106,9 +106,9 @@ class Mutator:
         return self.damaged(text.encode())
 
 
-def _msgpack(told: Any) -> bytes:
+def _msgpack(fields: Any) -> bytes:
     try:
-        data: bytes = msgpack.packb(told)
+        data: bytes = msgpack.packb(fields)
     except (OverflowError, ValueError):
-        data = msgpack.packb(repr(told))
+        data = msgpack.packb(repr(fields))
     return data

@@ -1,9 +1,9 @@
-"""Bad inputs against a real server, and every answer judged.
+"""Sends bad inputs to a real server and judges every answer.
 
-An answer is right if it is a problem of the catalogue with the status that belongs to it, tells nothing of the
-inside, and is the one that the input deserves where that is known: of a damaged frame the service has to say
-what its decoder says, and what can be decoded all the same has to be found where the library finds it. As the
-library never saw the refused ones, that also shows that they changed nothing.
+An answer is right if it is a problem of the catalogue with its status, reveals nothing of the implementation, and
+fits the input where that is known: for a damaged frame it must be the decoder's verdict, and a frame that can still be
+decoded must give the library's box. As the library never saw the refused frames, that also shows that they changed
+nothing.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ CLOSES = (4400, 4429, 1002, 1007)
 
 
 class Wrong(Exception):
-    """The service gave an answer that it should not."""
+    """The service gave a wrong answer."""
 
 
 @dataclass(slots=True)
 class Tally:
-    """What became of the inputs of one kind."""
+    """The results of the inputs of one kind."""
 
     tried: int = 0
     valid: int = 0
@@ -53,7 +53,7 @@ class Tally:
 
 
 class Fuzz:
-    """Everything that can be sent to a service. ``clip`` has small frames."""
+    """Sends bad inputs of all kinds to a service. ``clip`` has small frames."""
 
     def __init__(self, url: str, clip: Clip, seed: int) -> None:
         self._url, self._clip = url, clip
@@ -67,7 +67,7 @@ class Fuzz:
         self._snapshot = b""
 
     async def run(self, count: int, tell: Callable[[str], None] = lambda _: None) -> dict[str, Tally]:
-        """``count`` inputs of each kind; ``tell`` hears the kind of each that is done."""
+        """Send ``count`` inputs of each kind; ``tell`` is called with the kind of each."""
         tallies = {}
         async with self._http:
             sid = await self._create()
@@ -81,7 +81,7 @@ class Fuzz:
                     for _ in range(count):
                         await self._judged(tally, kind())
                         tell(kind.__name__.strip("_"))
-                    # After all that, the undisturbed session goes on as the library does.
+                    # The undisturbed session still gives the library's results.
                     await self._judged(tally, self._good_frame(), bad=False)
         return tallies
 
@@ -106,7 +106,7 @@ class Fuzz:
         return await self._tracked(self._clip.frame(2))
 
     async def _tracked(self, data: bytes) -> str | None:
-        """What the service says of a frame, if that is what the decoder says, or else the library's box."""
+        """Send a frame and return its refusal. Raises Wrong for one that is not the decoder's, or another box."""
         self._seq += 1
         try:
             image = decode(data, self._limits)[0]
@@ -114,17 +114,17 @@ class Fuzz:
         except FrameError as bad:
             expected = bad.code
         await self._stream.send(data)
-        told = json.loads(await self._stream.recv())
-        if told.get("seq") != self._seq:
-            raise Wrong(f"frame {self._seq} was answered by {told}")
-        if told["type"] == "error":
-            code = _code(told["problem"], told["problem"]["status"])
+        heard = json.loads(await self._stream.recv())
+        if heard.get("seq") != self._seq:
+            raise Wrong(f"frame {self._seq} was answered by {heard}")
+        if heard["type"] == "error":
+            code = _code(heard["problem"], heard["problem"]["status"])
             if code != expected:
                 raise Wrong(f"{code} instead of {expected}")
             return code
         if expected:
             raise Wrong(f"tracked instead of {expected}")
-        if list(self._oracle.update(image).box) != told["targets"][0]["box"]:
+        if list(self._oracle.update(image).box) != heard["targets"][0]["box"]:
             raise Wrong("another box than the library's")
         return None
 
@@ -154,10 +154,10 @@ class Fuzz:
                     if closed.rcvd is None or closed.rcvd.code not in CLOSES:
                         raise Wrong(f"closed with {closed.rcvd}") from closed
                     return str(closed.rcvd.code)
-                told = msgpack.unpackb(heard) if isinstance(heard, bytes) else json.loads(heard)
-                if told["type"] == "error":
-                    codes.append(_code(told["problem"], told["problem"]["status"]))
-                if told.get("ref") == "end":
+                heard = msgpack.unpackb(heard) if isinstance(heard, bytes) else json.loads(heard)
+                if heard["type"] == "error":
+                    codes.append(_code(heard["problem"], heard["problem"]["status"]))
+                if heard.get("ref") == "end":
                     return codes[0] if len(codes) > 1 else None
 
     async def _body(self) -> str | None:
@@ -222,7 +222,7 @@ class Fuzz:
         return _code(response.json(), response.status_code)
 
     async def _session(self) -> str:
-        """A session that may be changed; another one if that is gone."""
+        """Return the id of a session that may be changed, a new one if the last has ended."""
         path = f"/v1/sessions/{self._other}"
         if not self._other or (await self._http.get(path)).status_code != 200:
             self._other = await self._create()
@@ -238,7 +238,7 @@ class Fuzz:
 
 
 def _code(problem: dict[str, Any], status: int) -> str:
-    """The code of a refusal. Raises Wrong if it is not as the catalogue has it, or a fault of the service."""
+    """Return the code of a refusal. Raises Wrong if it is not one of the catalogue, or a fault of the service."""
     code = problem.get("code", "")
     if code not in CATALOGUE or CATALOGUE[code].status != status or problem.get("status") != status:
         raise Wrong(f"{status} with {problem}")

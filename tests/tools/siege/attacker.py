@@ -1,6 +1,7 @@
-"""The attacker, a process of its own: ``python -m tests.tools.siege.attacker NAME``, told the rest on its input.
+"""The attacker, a separate process: ``python -m tests.tools.siege.attacker NAME``.
 
-It prints ``ready``, begins when it is told for how many seconds, and prints what was answered by code.
+It reads the ground as JSON from its input, prints ``ready``, reads a number of seconds, attacks for that long, and
+prints the answers by their codes.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Any
 from .attacks import ATTACKS, Attack
 from .traffic import HEAVY_BYTES, Ground, padded
 
-# Behind the service and its neighbour: what is measured is the service and not who gets the cores.
+# Runs behind the service and its neighbour, so that the measurement is not of the competition for cores.
 NICENESS = 5
 ANSWER = re.compile(rb'HTTP/1\.1 (\d{3})|"code":"([a-z-]+)"')
 CLOSE = re.compile(rb"\x88[\x02-\x7d](\x03[\xe8-\xff]|\x11[\x00-\xff])", re.S)
@@ -32,7 +33,7 @@ class Attacker:
         self.answers: Counter[str] = Counter()
 
     async def run(self, seconds: float) -> None:
-        """Attack for so long."""
+        """Attack for ``seconds``."""
         connections = [self._connection(number) for number in range(self._attack.connections)]
         try:
             async with asyncio.timeout(seconds):
@@ -101,13 +102,13 @@ class Attacker:
 
 
 def main() -> None:
-    """See the module."""
+    """Run the attack, as the module says."""
     os.nice(NICENESS)
     attack = next(attack for attack in ATTACKS if attack.name == sys.argv[1])
-    told: dict[str, Any] = json.loads(sys.stdin.readline())
-    told["image"] = bytes.fromhex(told["image"])
-    told["heavy"] = padded(told["image"], HEAVY_BYTES)
-    attacker = Attacker(attack, Ground(**told))
+    given: dict[str, Any] = json.loads(sys.stdin.readline())
+    given["image"] = bytes.fromhex(given["image"])
+    given["heavy"] = padded(given["image"], HEAVY_BYTES)
+    attacker = Attacker(attack, Ground(**given))
     _say("ready")
     seconds = float(sys.stdin.readline())
     asyncio.run(attacker.run(seconds))

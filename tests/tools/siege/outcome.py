@@ -1,4 +1,4 @@
-"""What a siege measured, and its targets."""
+"""The measurements of a siege, and their targets."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from .traffic import MIB
 
 # The least that a service gives itself; see docs/security.md.
 ROOM_BYTES = 128 * MIB
-# The stated bound of the front: what is under way, as much again in copies that are being made, half as much that the
-# C library keeps of what was freed, and what else grows.
+# The bound of the front: bytes under way, as much again in copies of them, half as much in freed memory that the C
+# library keeps, and a reserve.
 BOUND_BYTES = 2 * ROOM_BYTES + ROOM_BYTES // 2 + 64 * MIB
 MAX_STALL_S = 0.05
 MAX_RATIO = 3.0
@@ -41,7 +41,7 @@ class Waits:
 
 @dataclass(slots=True)
 class Outcome:
-    """What one attack did."""
+    """The effects of one attack."""
 
     attack: str
     rounds: list[tuple[Waits, Waits]] = field(default_factory=list)
@@ -54,21 +54,21 @@ class Outcome:
 
     @property
     def ratio(self) -> float:
-        """The neighbour's p99 over undisturbed: of the rounds' the middle one, as other work may hit any of them."""
+        """The neighbour's p99 over the undisturbed one: the median of the rounds, any of which may be disturbed."""
         return statistics.median(besieged.p99_s / calm.p99_s for calm, besieged in self.rounds)
 
     @property
     def calm(self) -> Waits:
-        """Of all rounds, undisturbed."""
+        """The waits of all undisturbed stretches."""
         return _joined(calm for calm, _ in self.rounds)
 
     @property
     def besieged(self) -> Waits:
-        """Of all rounds, besieged."""
+        """The waits of all besieged stretches."""
         return _joined(besieged for _, besieged in self.rounds)
 
     def missed(self) -> list[str]:
-        """The targets that were missed."""
+        """Return the targets that were missed."""
         missed = list(self.damage)
         if self.stall_s > MAX_STALL_S:
             missed.append(f"the loop was busy for {self.stall_s * 1e3:.0f} ms at a stretch")

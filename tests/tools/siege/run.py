@@ -1,4 +1,4 @@
-"""Attacks on a server of one's own, one by one, while a neighbour streams and somebody asks whether it is alive.
+"""Attacks a server one way after the other, while a neighbour streams and a probe asks whether the server is alive.
 
 What is measured: how long the neighbour waits, beside an undisturbed stretch of the same length just before; how
 long the event loop works at a stretch, in processor time, which other work on the machine does not change; what
@@ -40,7 +40,7 @@ SESSIONS, PAST_TARGETS = 14, 16
 BESIEGED = "the-key-of-the-besieged-neighbour"
 BESIEGER = "the-key-of-the-one-who-besieges"
 PATIENCE_S = 30.0
-# A frame or two of the neighbour may be under way at any time.
+# One or two frames of the neighbour may be under way at any time.
 NEIGHBOURS_BYTES = 100_000
 SETTINGS: dict[str, Any] = {
     "lanes": 1,
@@ -91,7 +91,7 @@ class Siege:
         self._log_read = 0
 
     async def run(self, attacks: Sequence[Attack], tell: Tell) -> list[Outcome]:
-        """All ``attacks``, one by one."""
+        """Make all ``attacks``, one by one, and return their outcomes."""
         outcomes = []
         async with (
             AsyncClient(self._server.url, key=BESIEGED) as ours,
@@ -155,7 +155,7 @@ class Siege:
                 began = time.monotonic()
                 process.stdin.write(b"%g\n" % plan.seconds)
                 watching = asyncio.ensure_future(self._watch_memory(outcome, before))
-                told = await asyncio.wait_for(process.stdout.readline(), plan.seconds + PATIENCE_S)
+                heard = await asyncio.wait_for(process.stdout.readline(), plan.seconds + PATIENCE_S)
                 await asyncio.sleep(0.2)
                 watching.cancel()
             finally:
@@ -164,11 +164,11 @@ class Siege:
                     process.kill()
                 await process.wait()
             outcome.stall_s = max(outcome.stall_s, self._longest_stretch(began))
-            outcome.answers.update(json.loads(told)["answers"])
+            outcome.answers.update(json.loads(heard)["answers"])
         return outcome
 
     async def _stream(self) -> None:
-        """The neighbour: a frame every so often, however late the answers are."""
+        """Stream as the neighbour: a frame every 1/FPS seconds, however late the answers are."""
         sent_at: dict[int, tuple[float, Waits | None]] = {}
         address = Address.of(self._server.url, BESIEGED, PATIENCE_S, PATIENCE_S)
         connection = await Connection.open(address, self._neighbour.id, mode="lossless")
@@ -183,7 +183,7 @@ class Siege:
                     if waits is not None:
                         waits.results.append(time.perf_counter() - sent)
                 else:
-                    raise RuntimeError(f"the neighbour was told {message}")
+                    raise RuntimeError(f"the neighbour was heard {message}")
 
         async def say() -> None:
             begun = time.perf_counter()
@@ -230,7 +230,7 @@ class Siege:
         return max((float(stretch) for at, stretch in lines if float(at) >= since), default=0.0)
 
     async def _damage(self, ours: AsyncClient, streaming: asyncio.Future[None]) -> list[str]:
-        """What is not as it was before the attack."""
+        """Return what an attack has damaged."""
         damage = []
         if streaming.done():
             damage.append(f"the neighbour's stream ended: {streaming.exception()}")
@@ -254,7 +254,7 @@ class Siege:
         return damage
 
     async def _still_held(self) -> int:
-        """Bytes that the service counts as under way, once they are few or do not become fewer any more."""
+        """Return the bytes under way by the service's own count, once they are few or the patience ends."""
         give_up = time.monotonic() + PATIENCE_S
         held = NEIGHBOURS_BYTES + 1
         while held > NEIGHBOURS_BYTES and time.monotonic() < give_up:
@@ -273,7 +273,7 @@ class Siege:
 
 
 def siege(clip: Clip, plan: Plan, attacks: Sequence[Attack], tell: Tell) -> list[Outcome]:
-    """Start a server and attack it."""
+    """Start a server, attack it and return the outcomes."""
     with tempfile.TemporaryDirectory(prefix="mfcmt-siege-") as folder:
         stretches = Path(folder) / "stretches"
         with OwnServer(prelude=NOTE_STRETCHES.format(file=str(stretches)), **SETTINGS) as server:

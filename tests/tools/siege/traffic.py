@@ -20,7 +20,7 @@ DEEP_MAP = b"\x81\xa3box\xdc\x01\x00" + b"\x91" * 60_000
 
 @dataclass(frozen=True, slots=True)
 class Ground:
-    """What an attacker knows: the port, a key of its own, sessions of its own, an image and the same made heavy.
+    """The knowledge of an attacker: the port, a key of its own, sessions of its own, an image and the same made heavy.
 
     ``past`` is a session with a long trajectory, ``large`` one with a snapshot of megabytes.
     """
@@ -35,7 +35,7 @@ class Ground:
 
 
 def padded(jpeg: bytes, size: int) -> bytes:
-    """The same image with comments that nobody looks at, of ``size`` bytes or a little less."""
+    """Return the image with comments in it, so that it has ``size`` bytes or a little less."""
     comment = b"\xff\xfe\xff\xff" + bytes(0xFFFD)
     return jpeg[:2] + comment * ((size - len(jpeg)) // len(comment)) + jpeg[2:]
 
@@ -69,7 +69,7 @@ def chunked(ground: Ground, number: int) -> bytes:
 
 
 def handshake(ground: Ground, number: int, *, key: bool = False, more: bytes = b"", query: str = "") -> bytes:
-    """The opening of a stream: of one's own session with ``key``, else of any."""
+    """The opening of a stream, with the attacker's key if ``key``."""
     upgrade = (
         b"Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
         b"Sec-WebSocket-Key: " + base64.b64encode(bytes(16)) + b"\r\nSec-WebSocket-Protocol: mfcmt.v1.json\r\n"

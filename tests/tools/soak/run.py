@@ -1,4 +1,4 @@
-"""Long work over real sockets: sessions opened and closed, frames tracked, and the memory that is left behind."""
+"""Opens sessions and tracks frames over real sockets for long, and measures the memory that remains."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from ..command import Tell
 from .slope import WARM_UP, Slope, slope
 
 SAMPLES = 80
-# Every so many sessions, one is streamed to before it is closed: what a stream leaves behind shows too.
+# One of so many sessions gets a stream before it is closed, to show memory that streams leave behind.
 STREAM_EVERY = 10
 OPENERS = 4
 FRAMES_IN_FLIGHT = 4
-# What the service remembers is bounded; so many are enough to fill it within the warm-up.
+# Lower bounds of what the service remembers, so that they are reached within the warm-up.
 SETTINGS: dict[str, Any] = {"log_level": "warning", "max_sessions_per_lane": 32}
 MAX_REMEMBERED = 10_000
 # A tracked frame in a trajectory, at the least.

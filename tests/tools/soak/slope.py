@@ -1,4 +1,4 @@
-"""How memory goes with work: a slope after warm-up, and the noise that it has to be told from."""
+"""The growth of memory with work: a slope after the warm-up, and its noise."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-# An arena of CPython's, which its allocator asks the system for at once: no run can see a smaller growth.
+# CPython allocates memory in arenas of 1 MiB; growth below one arena cannot be detected.
 STEP_BYTES = 1024 * 1024
-# The line through one step rises by at most this share of the step over the length: with the step in the middle.
+# A line through one step rises by at most this multiple of the step, if the step is in the middle.
 STEP_SLOPE = 1.5
-# Of the run, before memory has settled: caches, tombstones and trajectories fill up to their bounds.
+# The share of the run in which memory settles: caches, tombstones and trajectories fill up to their bounds.
 WARM_UP = 0.3
 # A slope this many standard errors from 0 is no accident.
 ERRORS = 2.0
@@ -28,7 +28,7 @@ class Slope:
 
     @property
     def flat(self) -> bool:
-        """Whether the memory does not grow, as far as can be told."""
+        """True if no growth can be detected."""
         return self.per_unit <= self.noise
 
 
