@@ -101,9 +101,10 @@ def test_the_library_snippet_works_as_pasted() -> None:
 
 async def test_the_page_snippet_works_as_pasted(server: OwnServer) -> None:
     playwright: Any = pytest.importorskip("playwright.async_api")
+    path = chromium()
     async with playwright.async_playwright() as driver:
         browser = await driver.chromium.launch(
-            executable_path=chromium(), args=["--no-sandbox", "--autoplay-policy=no-user-gesture-required"]
+            executable_path=path, args=["--no-sandbox", "--autoplay-policy=no-user-gesture-required"]
         )
         try:
             page = await (await browser.new_context(bypass_csp=True)).new_page()

@@ -11,6 +11,7 @@ import msgpack
 import pytest
 
 from service.client import AsyncClient, AsyncSession, Problem, Result
+from service.client.types import read_answer
 from service.load.clips import Clip
 from service.load.own import OwnServer
 from tests.service.frames import images
@@ -81,7 +82,7 @@ async def _over_stream(stream: Stream, clip: Clip, bad: dict[str, tuple[bytes, s
         assert (problem["code"], problem["status"], refused["seq"]) == (code, status, seq), name
         await stream.frame(clip.frames[index])
         seq += 1
-        result = Result.of(await stream.hear())
+        result = read_answer(Result, await stream.hear())
         assert result.seq == seq
         assert result.dropped == 0
         assert_same(result.target, said[index - 1][0])
@@ -141,7 +142,7 @@ async def test_bad_boxes(server: OwnServer, client: AsyncClient, clip: Clip, box
                 answer = await _msgpack_call(server, method, f"/v1/sessions/{session.id}/{path}", {"box": box})
                 assert (answer.status_code, answer.json()["code"]) == (422, "bad-box")
             await stream.frame(clip.frames[1])
-            result = Result.of(await stream.hear())
+            result = read_answer(Result, await stream.hear())
             assert len(result.targets) == 1
             assert_same(result.target, in_process(clip, [clip.box])[0][0])
 

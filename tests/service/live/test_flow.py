@@ -15,6 +15,7 @@ import pytest
 from mfcmt_core import MFCMT
 from mfcmt_core.images.decode import decode
 from service.client import AsyncClient, Problem, Result
+from service.client.types import read_answer
 from service.load.clips import LIMITS, Clip
 from service.load.own import OwnServer
 from service.load.usage import usage
@@ -30,7 +31,7 @@ async def results_of(stream: Stream, last: int) -> list[Result]:
     """All messages up to the result of frame ``last``."""
     results = []
     while not results or results[-1].seq < last:
-        results.append(Result.of(await stream.hear("result")))
+        results.append(read_answer(Result, await stream.hear("result")))
     return results
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import httpx2
 
 from service.client import Result
+from service.client.types import read_answer
 from service.load.clips import Box, Clip
 from service.load.usage import server_processes
 from tests.service.live.test_main_job import assert_same, in_process
@@ -93,7 +94,7 @@ async def test_a_killed_lane_is_replaced_and_nothing_is_lost(serve: Serve, clip:
                 os.kill(before[0], signal.SIGKILL)
             for stream in (one, two):
                 await stream.frame(frame)
-                assert_same(Result.of(await stream.hear("result")).target, said[index - 1][0])
+                assert_same(read_answer(Result, await stream.hear("result")).target, said[index - 1][0])
     await until_ready(wire, 2)
     assert len(set(lanes_of(wire)) - set(before)) == 1
     for _ in range(6):
@@ -121,7 +122,7 @@ class Busy:
                 while not done.is_set() and sent - len(self.results) < stream.ready["credit"]:
                     sent += 1
                     await stream.frame(self.clip.frame(sent))
-                self.results.append(Result.of(await stream.hear("result")))
+                self.results.append(read_answer(Result, await stream.hear("result")))
                 assert self.results[-1].seq == len(self.results)
 
 
@@ -255,7 +256,7 @@ async def test_a_lane_is_killed_in_the_middle_of_frames(serve: Serve, clip: Clip
                 await stream.frame(frame)
             os.kill(lanes_of(wire)[0], signal.SIGKILL)
             for index in range(4):
-                assert_same(Result.of(await stream.hear("result")).target, said[index][0])
+                assert_same(read_answer(Result, await stream.hear("result")).target, said[index][0])
         await until_ready(wire, 1)
     assert "Traceback" not in wire.server.log
 
