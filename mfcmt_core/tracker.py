@@ -3,25 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
-from functools import partial
-from operator import attrgetter
-from typing import Protocol
-
-import numpy as np
-import numpy.typing as npt
 
 from . import snapshot
-from .confidence import MapEvidence
 from .config import MFCMTConfig
 from .errors import BadConfig, BadImage, BadSnapshot, NotInitialised
-from .fusion import fuse
 from .geometry import Frame, Image, Rect, SearchWindow, check_box, clip_rect, grow_rect
-from .kernels.fusion import second_peak_ratio
-from .redetection import propose, second_peak
-from .reliability import Peaks, Verdict
+from .reliability import Verdict
 from .result import TrackResult
-from .target import Crop, Observation, Point, Target, is_gray
+from .search import Candidate, Search, copy_maps
+from .target import Target, is_gray
 
 REGION_FACTOR = 1.25
 """Size of the region that is read from each frame, as a multiple of the search window.
@@ -32,46 +22,6 @@ WIDE_REGION_FACTOR = 2.0
 """The same after a frame with a low template peak: this region holds the neighboring windows on all four sides."""
 MOTION_MARGIN = 0.5
 """Margin that :meth:`MFCMT.region` adds on each side per frame in flight, as a fraction of the target's side."""
-
-LEAVE_OUT = 4
-"""Cells on each side of a fused map's peak in which no second one is looked for, see :class:`MapEvidence`."""
-
-
-@dataclass(frozen=True, slots=True)
-class Detection:
-    """Where a fused map peaks: ``center`` (x, y) in the frame, the peaks of the maps, and what else the maps say."""
-
-    center: Point
-    peaks: Peaks
-    evidence: MapEvidence
-
-
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """A probed place: the window observed there and what was detected in it.
-
-    ``recentered`` is the window around the detection, if that was observed too.
-    """
-
-    observation: Observation
-    detection: Detection
-    recentered: Observation | None = None
-
-    @property
-    def peaks(self) -> Peaks:
-        """The peaks of the detection."""
-        return self.detection.peaks
-
-    @property
-    def strength(self) -> tuple[float, float]:
-        """The key by which candidates are compared; see :attr:`Peaks.strength`."""
-        return self.peaks.strength
-
-
-class Probe(Protocol):
-    """A function that probes one place of the current frame; see :meth:`MFCMT._probe`."""
-
-    def __call__(self, place: Point, crop: Crop | None = None) -> Candidate: ...
 
 
 class MFCMT:
@@ -210,7 +160,7 @@ class MFCMT:
         frame.require(readable)
 
         candidate = self._search(target, frame, readable)
-        map_copies = self._copy_maps(target, frame, candidate.observation) if maps else None
+        map_copies = copy_maps(self.config, target, frame, candidate.observation) if maps else None
         detection = candidate.detection
         pixels = target.box_pixels(candidate.observation.crop, detection.center, frame.size)
         confidence, is_flat = target.confidence.judge(detection.evidence, pixels, is_new=target.reliability.lost)
@@ -350,86 +300,7 @@ class MFCMT:
         return self._target
 
     def _search(self, target: Target, frame: Frame, readable: Rect) -> Candidate:
-        """Return the candidate that gives this frame's result (lines 2–7 of Algorithm 1).
-
-        The last place is probed first. Further places are probed only if the target is lost or its template peak is
-        low: the middle of the found peak, then one other place. :attr:`Target.runner_up` and
-        ``reliability.template_low`` carry over to the next frame.
-        """
-        reliability = target.reliability
-        probe = partial(self._probe, target, frame, readable)
-        runner_up, target.runner_up = target.runner_up, None
-        here = probe(target.center)
-        if reliability.lost:
-            return self._redetect(probe, target, frame, here)
-        was_low, reliability.template_low = reliability.template_low, False
-        if not reliability.is_template_low(here.peaks):
-            return here
-        other_place = self._other_place(target, here.observation, was_low, runner_up)
-        centered = here
-        if not here.observation.is_central(here.detection.center):  # a peak is lower off the middle of the window
-            centered = probe(here.detection.center, here.observation.crop)
-            here = replace(here, recentered=centered.observation)
-            if not reliability.is_template_low(centered.peaks):
-                return here
-        reliability.template_low = True
-        if other_place is None or not frame.contains(other_place):
-            return here
-        other = probe(other_place)
-        if other.peaks.template > self.config.doubt_margin * centered.peaks.template:
-            return other
-        if other.strength > centered.strength:  # probe it again in the next frame, where its peak is in the middle
-            target.runner_up = other.detection.center
-        return here
-
-    def _redetect(self, probe: Probe, target: Target, frame: Frame, here: Candidate) -> Candidate:
-        """Search the whole frame by color, and return the better of the place found and the last place.
-
-        The better place is probed twice, so that the second window has its surroundings in the middle.
-        """
-        best = here
-        if target.color:
-            proposed = probe(propose(target.color, frame, target.base_size, target.scale))
-            best = max(here, proposed, key=attrgetter("strength"))
-        return probe(best.detection.center)
-
-    def _other_place(
-        self, target: Target, observation: Observation, was_low: bool, runner_up: Point | None
-    ) -> Point | None:
-        """Return the one other place to probe in a frame with a low template peak.
-
-        In the first such frame that is the second peak of the fused map, if there is one. Afterwards it is the
-        runner-up of the last frame, or else a neighboring window: one side per frame, to keep each frame short.
-        """
-        if not was_low:
-            peak = second_peak(target.maps()[1], target.search_window.target)
-            return observation.place_at(peak) if peak else None
-        if runner_up is not None:
-            return runner_up
-        side = (target.reliability.learned + target.reliability.unreliable_run) % 4
-        return target.search_window.neighbor(target.center, target.scale, side)
-
-    def _probe(self, target: Target, frame: Frame, readable: Rect, place: Point, crop: Crop | None = None) -> Candidate:
-        """Observe the window around ``place`` and detect the target in it."""
-        observation = target.observe(frame, readable, place, crop)
-        return Candidate(observation, self._detect(target, frame, observation))
-
-    def _detect(self, target: Target, frame: Frame, observation: Observation) -> Detection:
-        """Compute the responses, fuse them and find the peak (lines 5–7 of Algorithm 1)."""
-        responses, fused = target.maps()
-        models = 0
-        if target.template:
-            models = len(target.template.blocks)
-            target.template.respond(observation.spectra, responses[: len(target.template.names)])
-        if target.color:
-            target.color.respond(observation.bins, responses[-1])
-        peak = fuse(responses, target.map_weights, self.config, fused)
-        template = sum(peak.tops[:models]) / models if models else 1.0
-        statistical = peak.tops[-1] if target.color else 1.0
-        x, y = observation.place_at(peak.displacement)
-        center = (min(max(x, 0.0), float(frame.size[0])), min(max(y, 0.0), float(frame.size[1])))
-        evidence = MapEvidence(peak.psr, second_peak_ratio(fused, LEAVE_OUT), statistical)
-        return Detection(center, Peaks(peak.height, template, statistical), evidence)
+        return Search(self.config, target, frame, readable).run()
 
     def _update_scale(self, target: Target, frame: Frame, readable: Rect, verdict: Verdict) -> None:
         """Find the target's scale, and learn it if the frame is reliable (lines 8 and 10 of Algorithm 1)."""
@@ -457,19 +328,3 @@ class MFCMT:
             observation = recentered
         target.learn(observation)
         target.reliability.record_learned(candidate.peaks)
-
-    def _copy_maps(self, target: Target, frame: Frame, observation: Observation) -> dict[str, npt.NDArray[np.float32]]:
-        """Return copies of the probability maps by name, and of a joint filter also the part of each cue.
-
-        The maps are computed again, for the search may have probed another place since.
-        """
-        self._detect(target, frame, observation)
-        responses, fused = target.maps()
-        copies = {"fused": fused.copy()}
-        copies |= {name: np.array(r) for name, r in zip(target.map_names, responses, strict=True)}
-        if target.template and self.config.joint_filter:
-            parts = target.template.respond_by_cue(observation.spectra)
-            for name, part in parts.items():
-                fuse(part[None], np.ones(1, np.float32), self.config, np.empty_like(part))
-                copies[name] = part
-        return copies

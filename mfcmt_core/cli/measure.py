@@ -18,7 +18,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from .. import synthetic, tracker
+from .. import search, synthetic, tracker
 from ..color import ColorModel
 from ..features import FeatureStack
 from ..geometry import Image, SearchWindow
@@ -36,13 +36,13 @@ STAGES: tuple[tuple[str, Any, str], ...] = (
     ("colour bins", ColorModel, "bins"),
     ("template response", TemplateModel, "respond"),
     ("colour response", ColorModel, "respond"),
-    ("fusion", tracker, "fuse"),
+    ("fusion", search, "fuse"),
     ("scale features", ScaleModel, "spectra"),
     ("scale response", ScaleModel, "estimate"),
     ("template learning", TemplateModel, "learn"),
     ("colour learning", ColorModel, "learn"),
     ("scale learning", ScaleModel, "learn"),
-    ("re-detection", tracker, "propose"),
+    ("re-detection", search, "propose"),
     ("everything else", tracker.MFCMT, "update"),
 )
 """Name and function of each stage, in the order of Algorithm 1. Time in an inner stage counts only there."""

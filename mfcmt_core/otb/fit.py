@@ -19,8 +19,9 @@ import numpy as np
 from ..confidence import DEFAULT, WEIGHED
 from ..config import MFCMTConfig
 from ..geometry import Frame, Image, Rect
+from ..search import Candidate
 from ..target import Target
-from ..tracker import MFCMT, Candidate
+from ..tracker import MFCMT
 from .dataset import Dataset, Sequence
 from .metrics import Array, overlap
 from .protocol import Run

@@ -13,6 +13,7 @@ from mfcmt_core.otb.dataset import open_otb
 from mfcmt_core.otb.metrics import overlap
 from mfcmt_core.redetection import second_peak
 from mfcmt_core.reliability import Peaks
+from mfcmt_core.search import Search
 from mfcmt_core.tracker import REGION_FACTOR, WIDE_REGION_FACTOR
 
 from .helpers import boxes_of
@@ -106,10 +107,10 @@ def search(clip, monkeypatch):
     frame, readable = Frame.of(clip.frames[STEADY]), (0, 0, *clip.frames[STEADY].shape[1::-1])
 
     def run(was_low, *script, runner_up=None):
-        probed, candidates, real = [], [], MFCMT._probe
+        probed, candidates, real = [], [], Search.probe
 
-        def probe(self, target, frame, readable, place, crop=None):
-            true = real(self, target, frame, readable, place, crop)
+        def probe(self, place, crop=None):
+            true = real(self, place, crop)
             part, displacement = script[min(len(candidates), len(script) - 1)]
             peaks = Peaks(true.detection.peaks.fused, part * target.reliability.long_term_means[0], 0.5)
             detection = replace(true.detection, center=true.observation.place_at(displacement), peaks=peaks)
@@ -117,9 +118,9 @@ def search(clip, monkeypatch):
             probed.append((place, crop))
             return candidates[-1]
 
-        monkeypatch.setattr(MFCMT, "_probe", probe)
+        monkeypatch.setattr(Search, "probe", probe)
         target.reliability.template_low, target.runner_up = was_low, runner_up
-        chosen = tracker._search(target, frame, readable)
+        chosen = Search(DEFAULT, target, frame, readable).run()
         return probed, candidates, chosen, target.runner_up
 
     return run

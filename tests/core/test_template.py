@@ -11,6 +11,7 @@ from scipy import fft
 
 from mfcmt_core import MFCMT, MFCMTConfig, synthetic
 from mfcmt_core.geometry import Frame, SearchWindow
+from mfcmt_core.search import detect
 from mfcmt_core.template import TemplateModel
 
 from .helpers import filters_of
@@ -257,7 +258,7 @@ def test_the_template_peak_is_the_mean_of_the_ridge_filters_highest_responses(ch
     tracker.init(clip.frames[0], clip.boxes[0])
     target, frame = tracker._target, Frame.of(clip.frames[1])
     seen = target.observe(frame, tracker.needed_region(), target.center)
-    peaks = tracker._detect(target, frame, seen).peaks
+    peaks = detect(tracker.config, target, frame, seen).peaks
     responses = np.empty_like(target.maps()[0])
     if target.template:
         target.template.respond(seen.spectra, responses[: len(target.template.names)])
