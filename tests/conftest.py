@@ -15,7 +15,7 @@ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 ROOT = Path(__file__).resolve().parents[1]
 OTB_ROOT = Path(os.environ.get("MFCMT_OTB_ROOT", ROOT.parent / "shared" / "data" / "otb"))
 # Files and folders of tests by their marker. Slow are many servers and long clips; the rest covers every module.
-BROWSER = ("browser", "service/jsclient/test_browser.py")
+BROWSER = ("browser", "core/test_cli_pick.py", "service/jsclient/test_browser.py")
 CHAOS = ("chaos",)
 SLOW = (
     *BROWSER,
@@ -27,16 +27,23 @@ SLOW = (
     "core/test_cli_bench.py",
     "core/test_cli_track.py",
     "core/test_cli_warmup.py",
+    "core/test_determinism.py",
+    "core/test_progress.py",
     "docker/test_image.py",
     "docker/test_monitoring.py",
     "docker/test_proxies.py",
     "examples",
+    "project/test_wheel.py",
     "service/cli",
+    "service/generated",
     "service/jsclient",
+    "service/live/test_client_proxies.py",
+    "service/live/test_client_rollout.py",
     "service/live/test_faults.py",
     "service/live/test_flow.py",
     "service/live/test_regions.py",
     "service/live/test_restart.py",
+    "service/unit/test_tenants.py",
     "service/wire/test_lanes.py",
     "service/wire/test_limits.py",
     "service/wire/test_schemathesis.py",
