@@ -25,7 +25,8 @@ from service.protocol.target import (
     rows_to_maps,
 )
 
-ROW: list[Any] = [3, [1.5, 2.0, 30.0, 40.0], "tracking", True, [True, True, False], [1.0, 0.5, 2.0], 12.5, True, 1.25]
+FLAGS, SCORES = [True, True, False], [1.0, 0.5, 2.0]
+ROW: list[Any] = [3, [1.5, 2.0, 30.0, 40.0], "tracking", True, FLAGS, SCORES, 12.5, True, 1.25, 0.75]
 HEAVY = ("numpy", "cv2", "numba", "fastapi", "starlette", "uvicorn")
 
 
@@ -62,6 +63,7 @@ def test_a_row_is_the_target_that_a_message_shows() -> None:
         12.5,
         True,
         1.25,
+        0.75,
     )
     assert rows_to_maps([ROW], [{"fused": b"png"}])[0] == {**shown, "maps": {"fused": b"png"}}
 

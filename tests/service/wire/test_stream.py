@@ -31,7 +31,7 @@ async def test_lossless_answers_every_frame_in_order(wire: Wire, clip: Clip, pro
     assert all(r["dropped"] == 0 and r["size"] == list(clip.size) for r in results)
     assert all(t >= 0 for r in results for t in r["timing"].values())
     assert set(results[0]["targets"][0]) == {
-        "id", "box", "status", "reliable", "flags", "scores", "psr", "updated", "scale",
+        "id", "box", "status", "reliable", "flags", "scores", "psr", "updated", "scale", "confidence",
     }  # fmt: skip
 
 
