@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from collections.abc import AsyncIterator, Iterator
 
 import httpx2
 import pytest
@@ -12,6 +13,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.typing import Origin
 
 from service.load.clips import Clip
+from service.load.own import OwnServer
 
 from .conftest import Serve, Stream, Wire, problem
 
@@ -26,14 +28,19 @@ async def refusal(wire: Wire, sid: str, **how: object) -> tuple[int, str]:
     return response.status_code, json.loads(response.body or b"")["code"]
 
 
+@pytest.fixture(scope="module")
+def guarded_server() -> Iterator[OwnServer]:
+    """A server that wants keys and knows one foreign origin."""
+    with OwnServer(
+        lanes=1, api_keys=f"{KEY}, {OTHER}", admin_key=ADMIN, allowed_origins="https://app.example"
+    ) as server:
+        yield server
+
+
 @pytest.fixture
-def guarded(serve: Serve) -> Wire:
-    return serve(
-        {"Authorization": f"Bearer {KEY}"},
-        api_keys=f"{KEY}, {OTHER}",
-        admin_key=ADMIN,
-        allowed_origins="https://app.example",
-    )
+async def guarded(guarded_server: OwnServer) -> AsyncIterator[Wire]:
+    async with Wire(guarded_server, {"Authorization": f"Bearer {KEY}"}) as wire:
+        yield wire
 
 
 async def test_keys(guarded: Wire, clip: Clip) -> None:
