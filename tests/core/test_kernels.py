@@ -232,6 +232,14 @@ def test_find_peak(seed):
     np.testing.assert_allclose(fusion.find_peak(fused, 5), reference.find_peak(fused, 5), rtol=1e-4, atol=1e-4)
 
 
+def test_second_peak_ratio():
+    fused = np.random.default_rng(3).random((25, 31), np.float32)
+    far = fused.copy()
+    i, j = np.unravel_index(fused.argmax(), fused.shape)
+    far[max(0, i - 4) : i + 5, max(0, j - 4) : j + 5] = 0
+    assert fusion.second_peak_ratio(fused, 4) == pytest.approx(far.max() / fused.max())
+
+
 def test_every_kernel_has_a_test():
     """Its name must appear in a test file of kernels."""
     source = "".join(file.read_text() for file in Path(__file__).parent.glob("test_kernels*.py"))

@@ -113,7 +113,7 @@ async def test_through_lost_and_back(wire: Wire, clip: Clip, images: list[Image]
         twins = Twins(whole, cuts, two["region"], list(clip.size))
         for image in images[1:25]:
             result = await twins.track(image)
-        for n in range(1, 40):
+        for n in range(1, 80):
             fading = cv2.addWeighted(images[25], 0.9**n, noise, 1 - 0.9**n, 0)
             result = await twins.track(fading)
             if result["targets"][0]["status"] == "lost":
