@@ -43,7 +43,7 @@ def test_every_stage_is_timed():
 def test_p99_leaves_out_frames_on_which_the_target_is_lost():
     assert measure.spread(np.array([1.0] * 99 + [3.0] * 9)) == pytest.approx(3)
     assert measure.spread(np.empty(0)) is None
-    config = MFCMT().config.replace(lost_after=1, fused_threshold=10.0)
+    config = MFCMT().config.replace(lost_after=1, tracking_threshold=1.0, lost_threshold=1.0)
     timed = measure.timed_run(MFCMT(config), next(measure.synthetic_material("motion", 4)))
     assert timed.lost.tolist() == [False, True, True, True]
     report = bench.measure(measure.synthetic_material("motion", 30), "default", 1)
