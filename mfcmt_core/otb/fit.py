@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from collections.abc import Sequence as Seq
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 
 import cv2
 import numpy as np
@@ -124,7 +125,7 @@ def record_all(datasets: Seq[Dataset], config: MFCMTConfig, jobs: int) -> Iterat
     """:func:`record` of every sequence, as they are done; the longest first."""
     pairs = [(s.source or d.name, s) for d in datasets for s in d]
     pairs.sort(key=lambda pair: -len(pair[1]))
-    with ProcessPoolExecutor(jobs) as pool:
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:  # a fork would copy locks that a thread holds
         yield from pool.map(record, *zip(*pairs, strict=True), [config] * len(pairs))
 
 

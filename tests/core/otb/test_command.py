@@ -10,9 +10,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import pytest
 
+from mfcmt_core import synthetic
 from mfcmt_core.cli import main
+from mfcmt_core.confidence import DEFAULT
 
 
 def test_scores_published_boxes(
@@ -115,3 +118,26 @@ def alive(group: int) -> bool:
     except ProcessLookupError:
         return False
     return True
+
+
+def test_the_confidence_is_fitted_to_folders_of_videos(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for source, name in (("one", "motion"), ("other", "occlusion")):
+        clip = synthetic.clip(name, length=60)
+        height, width = clip.frames[0].shape[:2]
+        path = tmp_path / f"{source}-{name}.avi"
+        writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25, (width, height))
+        for frame in clip.frames:
+            writer.write(frame)
+        writer.release()
+        lines = (",".join(map(str, box)) for box in clip.boxes[: len(clip.frames)])
+        path.with_suffix(".txt").write_text("\n".join(lines) + "\n")
+    assert main(["eval", "--fit-confidence", str(tmp_path), "--jobs", "1"]) == 0
+    out = capsys.readouterr().out
+    assert "2 sequences of one, other; " in out
+    assert "each scored without its data set" in out
+    assert all(f'"{name}": ' in out for name in DEFAULT.weights)
+
+
+def test_one_tracker_is_fitted_at_a_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["eval", "--fit-confidence", str(tmp_path), "--trackers", "default,paper"]) == 2
+    assert "name it with --trackers" in capsys.readouterr().err
