@@ -35,16 +35,16 @@ class Model:
 
 
 DEFAULT = Model(
-    bias=-17.6424,
+    bias=-16.1714,
     weights={
-        "statistical_peak": 3.9644,
-        "first_gradients": 2.5987,
-        "first_colors": 2.8074,
-        "log_contrast": 1.0517,
-        "inside": 7.0257,
-        "mean_log_psr": 1.1078,
-        "mean_second_peak": -2.9610,
-        "mean_first_gradients": 3.4326,
+        "statistical_peak": 4.3317,
+        "first_gradients": 2.5586,
+        "first_colors": 2.3315,
+        "log_contrast": 1.1145,
+        "inside": 6.7874,
+        "mean_log_psr": 0.7314,
+        "mean_second_peak": -3.6975,
+        "mean_first_gradients": 3.3841,
     },
 )
 """For the maps of ``default()``."""
