@@ -91,7 +91,7 @@ async def test_results_missed_are_asked_for_until_the_service_answers(
             await stream.send(clip.frames[1])
             first = await anext(stream)
             # As if the connection had broken before the answer came.
-            stream._last_seq, stream._unanswered[1] = 0, (None, Frame(clip.frames[1], seq=1))
+            stream._last_seq, stream._sender._unanswered[1] = 0, (None, Frame(clip.frames[1], seq=1))
             rollout.cable.cut()
             again = await anext(stream)
             assert (again.seq, again.target) == (first.seq, first.target)
