@@ -90,7 +90,14 @@ def test_ctrl_c_keeps_what_is_done_and_leaves_no_process(otb_root: Path, tmp_pat
         "--sequences",
         "Dog1,Car1,Suv,Girl",
     ]
-    child = subprocess.Popen(command, start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    child = subprocess.Popen(
+        command,
+        start_new_session=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        # A shell's background job, which these tests may be, passes on that Ctrl-C is ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
     try:
         wait_for(lambda: list(tmp_path.rglob("*.json")) or child.poll() is not None, 120)
         os.killpg(child.pid, signal.SIGINT)

@@ -225,18 +225,29 @@ async def test_bodies_that_are_being_received_have_a_bound_together(serve: Serve
     """Many clients that each send a large body slowly cannot fill the memory; what they held is free again."""
     wire = serve(max_upload_bytes=4_000_000, body_timeout_s=PATIENCE_S)
     head = b"POST /v1/sessions HTTP/1.1\r\n" + HOST + b"Content-Type: application/vnd.mfcmt.snapshot\r\n"
-    # Together they are below half of the bound, so both are received, whichever comes first.
-    slow = [await dial(wire, head + b"Content-Length: 3000000\r\n\r\n" + bytes(900_000)) for _ in range(2)]
+    slow = []
+    # One after the other: of two that arrive at once, each may find too little left.
+    for size in (700_000, 500_000):
+        held = await _under_way_bytes(wire)
+        slow.append(await dial(wire, head + b"Content-Length: 3000000\r\n\r\n" + bytes(size)))
+        async with asyncio.timeout(PATIENCE_S):
+            while await _under_way_bytes(wire) < held + size:
+                await asyncio.sleep(0.05)
     async with asyncio.timeout(PATIENCE_S):
-        while (response := await wire.post(clip.frames[0] + bytes(500_000), clip.box)).status_code != 503:
+        while (response := await wire.post(clip.frames[0] + bytes(900_000), clip.box)).status_code != 503:
             await asyncio.sleep(0.05)
     assert response.json()["code"] == "at-capacity"
     assert int(response.headers["Retry-After"]) >= 1
     for _, writer in slow:
         writer.transport.abort()
     async with asyncio.timeout(PATIENCE_S):
-        while (await wire.post(clip.frames[0] + bytes(500_000), clip.box)).status_code != 201:
+        while (await wire.post(clip.frames[0] + bytes(900_000), clip.box)).status_code != 201:
             await asyncio.sleep(0.05)
+
+
+async def _under_way_bytes(wire: Wire) -> float:
+    text = (await wire.http.get("/metrics")).text
+    return next(float(line.split()[1]) for line in text.splitlines() if line.startswith("mfcmt_under_way_bytes "))
 
 
 async def test_nothing_is_inflated(serve: Serve, clip: Clip) -> None:
