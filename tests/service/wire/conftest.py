@@ -112,6 +112,12 @@ class Wire:
             yield stream
 
 
+async def under_way_bytes(wire: Wire) -> float:
+    """Return how many bytes the service counts as under way."""
+    text = (await wire.http.get("/metrics")).text
+    return next(float(line.split()[1]) for line in text.splitlines() if line.startswith("mfcmt_under_way_bytes "))
+
+
 @pytest.fixture
 async def wire(server: OwnServer) -> AsyncIterator[Wire]:
     async with Wire(server) as wire:

@@ -18,7 +18,7 @@ from websockets.exceptions import InvalidStatus
 from service.load.clips import Clip
 from service.load.own import OwnServer
 
-from .conftest import Serve, Wire
+from .conftest import Serve, Wire, under_way_bytes
 
 HOST = b"Host: localhost\r\n"
 # Ample on a busy machine, and far below what an unbounded wait would be.
@@ -228,10 +228,10 @@ async def test_bodies_that_are_being_received_have_a_bound_together(serve: Serve
     slow = []
     # One after the other: of two that arrive at once, each may find too little left.
     for size in (700_000, 500_000):
-        held = await _under_way_bytes(wire)
+        held = await under_way_bytes(wire)
         slow.append(await dial(wire, head + b"Content-Length: 3000000\r\n\r\n" + bytes(size)))
         async with asyncio.timeout(PATIENCE_S):
-            while await _under_way_bytes(wire) < held + size:
+            while await under_way_bytes(wire) < held + size:
                 await asyncio.sleep(0.05)
     async with asyncio.timeout(PATIENCE_S):
         while (response := await wire.post(clip.frames[0] + bytes(900_000), clip.box)).status_code != 503:
@@ -243,11 +243,6 @@ async def test_bodies_that_are_being_received_have_a_bound_together(serve: Serve
     async with asyncio.timeout(PATIENCE_S):
         while (await wire.post(clip.frames[0] + bytes(900_000), clip.box)).status_code != 201:
             await asyncio.sleep(0.05)
-
-
-async def _under_way_bytes(wire: Wire) -> float:
-    text = (await wire.http.get("/metrics")).text
-    return next(float(line.split()[1]) for line in text.splitlines() if line.startswith("mfcmt_under_way_bytes "))
 
 
 async def test_nothing_is_inflated(serve: Serve, clip: Clip) -> None:
