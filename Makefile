@@ -44,7 +44,7 @@ demo: warmup  ## open the page in the browser, with the sample clip running
 test: $(DEVELOPMENT) warmup  ## run the tests, a process on each core; TESTS="tests/core -k geometry" for some
 	$(PYTEST) $(TESTS)
 
-test-fast: $(DEVELOPMENT) warmup  ## run the tests of every module that take a minute together
+test-fast: $(DEVELOPMENT) warmup  ## run the quick tests of every module, two to three minutes
 	$(PYTEST) -p no:schemathesis -m "not slow and not docker" $(TESTS)
 
 test-docker: $(DEVELOPMENT) warmup  ## build the image and run it; needs root, buildah, podman, runc, debootstrap
