@@ -94,9 +94,13 @@ def test_the_python_snippet_takes_frames_in_the_order_of_their_numbers(tmp_path:
     assert [path.name for path in names["paths"]] == ["img1.jpg", "img2.jpg", "img10.jpg"]
 
 
-def test_the_library_snippet_works_as_pasted() -> None:
+def test_the_library_snippet_works_as_pasted(capsys: pytest.CaptureFixture[str]) -> None:
     frames = [cv2.imread(str(file)) for file in sorted(FRAMES.glob("*.jpg"))]
-    exec(block("python", "tracker = MFCMT()"), {"first_frame": frames[0], "frames": frames[1:]})
+    names = {"first_frame": frames[0], "frames": frames[1:]}
+    exec(block("python", "tracker = MFCMT()"), names)
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(frames) - 1
+    assert isinstance(names["data"], bytes)
 
 
 async def test_the_page_snippet_works_as_pasted(server: OwnServer) -> None:
