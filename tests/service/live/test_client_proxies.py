@@ -7,6 +7,7 @@ import os
 import sys
 import threading
 
+import httpcore2  # noqa: F401 -- it looks for socksio as it is imported; later some tests hide that
 import pytest
 
 from service.client import AsyncClient, Client, ConnectionLost, Problem
