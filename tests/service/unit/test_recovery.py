@@ -29,7 +29,7 @@ from service.sessions.sqlite_store import SqliteStore
 from service.sessions.state_file import FILE, SavedSession, StateDirError
 from service.settings import Settings
 
-from .test_registry import Lanes, World
+from .test_registry import Lanes, World, settle
 
 KIB = 1024
 
@@ -71,7 +71,7 @@ class Keeping(World):
 
     async def track(self, session: Session, size: int = KIB) -> int:
         result, _, _ = await session.track(QueuedFrame(b"f" * size, session.number(None), None, None, 0.0, 0.0))
-        await asyncio.sleep(0.001)  # for a checkpoint, behind the frame
+        await settle()  # for a checkpoint, behind the frame
         seq: int = result["seq"]
         return seq
 
@@ -212,12 +212,12 @@ async def test_a_session_moves_from_a_checkpoint_between_two_frames() -> None:
     assert b"mfcmt_session_moves_total 1.0" in text(world.metrics)
     world.lanes.ops.clear()
     world.lanes.lost.put_nowait(LaneCrowded(session.id, 2))  # no room
-    await asyncio.sleep(0.01)
+    await settle()
     assert [op for op, _ in world.lanes.ops] == ["checkpoint"]
     world.lanes.ops.clear()
     world.lanes.deaths = [("died", True)]
     world.lanes.lost.put_nowait(LaneCrowded(session.id, 0))
-    await asyncio.sleep(0.01)
+    await settle()
     assert await world.track(session) == 5
     assert [op for op, _ in world.lanes.ops] == ["checkpoint", "revive", "checkpoint", "revive", "track"]
     assert b"mfcmt_session_moves_total 2.0" in text(world.metrics)

@@ -20,7 +20,7 @@ from service.sessions.state_file import FILE
 from service.settings import Settings
 
 from .test_recovery import Keeping
-from .test_registry import Lanes, QueuedFrame, World, gone
+from .test_registry import Lanes, QueuedFrame, World, gone, settle
 
 
 async def left_behind(world: World, *, age_s: float = 0.0) -> Session:
@@ -111,13 +111,13 @@ async def test_a_stop_before_lanes_are_ready_loses_nothing(tmp_path: Path) -> No
     session = await left_behind(first)
     second = Keeping(state_dir=str(tmp_path), operation_deadline_s=0.01)
 
-    async def never(key: str) -> Place:
+    async def never(key: str, owner: str) -> Place:
         await asyncio.sleep(60)
         raise AssertionError
 
     second.lanes.regain = never  # type: ignore[method-assign]
     await second.registry.load()
-    await asyncio.sleep(0.01)
+    await settle()
     await second.registry.save_all()
     third = Keeping(state_dir=str(tmp_path))
     await third.registry.load()
@@ -202,11 +202,11 @@ async def test_a_session_is_not_idle_until_it_is_restored(tmp_path: Path) -> Non
 
     second.lanes.regain = late  # type: ignore[method-assign]
     await second.registry.load()
-    await asyncio.sleep(0.01)
+    await settle()
     second.now += 15
     second.registry.sweep()
     ready.set()
-    await asyncio.sleep(0.01)
+    await settle()
     second.now += 9
     taken_up = second.registry.find("me", session.id)
     frame = QueuedFrame(b"", taken_up.number(None), None, None, 0.0, 0.0)
