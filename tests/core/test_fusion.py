@@ -38,7 +38,7 @@ def objective(maps, weights, q):
     return total
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(MAPS, WEIGHTS, st.integers(0, 2**32 - 1))
 def test_no_other_map_of_the_same_sum_has_less_relative_entropy(maps, weights, seed):
     p, q, _ = run(maps, weights)
@@ -53,7 +53,7 @@ def test_no_other_map_of_the_same_sum_has_less_relative_entropy(maps, weights, s
         assert objective(p, weights, other) >= best - 1e-4 * weights.sum()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(MAPS, st.permutations(range(4)))
 def test_the_order_of_maps_does_not_matter(maps, order):
     _, q, _ = run(maps)
@@ -61,14 +61,14 @@ def test_the_order_of_maps_does_not_matter(maps, order):
     np.testing.assert_allclose(permuted, q, atol=1e-6)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(MAPS, WEIGHTS)
 def test_identical_maps_stay_unchanged(maps, weights):
     p, q, _ = run(np.repeat(maps[:1], 4, axis=0), weights)
     np.testing.assert_allclose(q, p[0], atol=1e-6)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(MAPS, WEIGHTS, st.sampled_from([0.25, 3.0, 1000.0]))
 def test_scaling_a_response_does_not_change_the_fused_map(maps, weights, factor):
     """A probability map does not depend on the height of its response."""
@@ -121,7 +121,7 @@ def test_flat_maps_do_not_move_the_target(probability, value):
         np.testing.assert_allclose(q, 1 / 99, atol=1e-6)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(st.floats(-5, 5), st.floats(-6, 6), st.floats(1, 2.5))
 def test_equation_10_with_sub_cell_refinement(dy, dx, sigma):
     """A Gaussian peak is found to a tenth of a cell."""

@@ -20,7 +20,7 @@ PLACE = st.floats(-500, 3000)
 # --- boxes ---
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(PLACE, PLACE, SIDE, SIDE)
 def test_a_box_needs_a_quarter_of_its_area_in_the_frame(x, y, w, h):
     w, h = max(w, 1), max(h, 1)
@@ -61,7 +61,7 @@ def test_a_box_may_be_any_iterable_of_four_numbers(kind):
 RECT = st.tuples(st.integers(-50, 150), st.integers(-50, 150), st.integers(1, 200), st.integers(1, 200))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(RECT)
 def test_clip_rect(rect):
     x, y, w, h = clip_rect(rect, (100, 80))
@@ -100,7 +100,7 @@ def sample_reference(image, rect, within, out_size):
     return cv2.resize(image[np.ix_(rows, columns)], out_size, interpolation=cv2.INTER_LINEAR)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     st.tuples(st.integers(-300, 300), st.integers(-300, 300), st.integers(2, 400), st.integers(2, 400)),
     st.tuples(st.integers(0, 79), st.integers(0, 59), st.integers(1, 80), st.integers(1, 60)),
@@ -191,7 +191,7 @@ def test_paper_s_window_is_twice_the_target_at_150():
     assert search.cells == 37
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     st.floats(0, 640),
     st.floats(0, 480),

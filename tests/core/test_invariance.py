@@ -59,7 +59,7 @@ def test_a_color_target_survives_gray_frames(frames, clip):
     assert overlap(boxes_of(results), clip.boxes[:12]).min() > 0.5
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(st.integers(0, 24), st.integers(13, 27), st.sampled_from(list(PRESETS)))
 def test_a_shifted_scene_gives_shifted_boxes(frames, clip, dx, dy, preset):
     """The same pixels in a frame that begins elsewhere give the same displacements, but for rounding."""
@@ -88,7 +88,7 @@ def test_a_mirrored_picture_gives_mirrored_boxes(frames, clip):
     assert overlap(mirrored, straight).min() > 0.75
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=6)
 @given(st.permutations(["gray", "fhog", "color_names"]))
 def test_the_order_of_cues_does_not_matter(frames, clip, order):
     for config in PRESETS.values():

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import simplejpeg
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mfcmt_core.images.mend import _lookup, mend
@@ -140,7 +140,6 @@ def test_a_faultless_picture_is_not_changed(data):
     assert np.array_equal(strictly(mend(data))[0], strictly(data)[0])
 
 
-@settings(deadline=None)
 @given(st.sampled_from(sorted(SAMPLES)), st.integers(0, 10**6), st.integers(1, 255))
 def test_a_jpeg_is_damaged_exactly_if_libjpeg_warns(name, place, change):
     """Change one byte of the coded data without making or losing a marker."""

@@ -97,7 +97,7 @@ def test_a_region_gives_the_frame_s_result_after_corrections(preset, frames, cli
     compare(PRESETS[preset], frames[:13], clip.boxes[0], corrections)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.tuples(*[st.integers(0, 320)] * 4), st.integers(0, 2**32 - 1))
 def test_any_region_that_covers_the_needed_one_gives_the_same_result(frames, clip, more, seed):
     whole, narrow = MFCMT(), MFCMT()

@@ -52,7 +52,7 @@ def test_each_peak_is_tested_against_its_threshold_of_the_paper(factors, flags):
     assert verdict.status == ("tracking" if all(flags) else "uncertain")
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(PEAK, PEAK, PEAK), min_size=1, max_size=25), st.tuples(PEAK, PEAK, PEAK))
 def test_scores_are_ratios_to_the_mean_of_the_last_ten_frames_reliable_or_not(history, now):
     verdict = judge_frame(after(history), now)

@@ -228,7 +228,7 @@ def test_a_flat_picture_keeps_the_size(image, value):
         assert model.estimate(spectra(model, flat)) == 1
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.floats(1e-3, 4000), st.floats(1e-3, 4000), st.floats(64, 4096))
 def test_samples_are_at_most_as_large_as_configured(w, h, area):
     """They have the target's aspect to half a cell, and sides of 8 to 64 pixels even for the thinnest targets."""
@@ -238,7 +238,7 @@ def test_samples_are_at_most_as_large_as_configured(w, h, area):
         assert side == pytest.approx(np.clip(exact, 8, 64), abs=2.001)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.floats(1e-3, 4000), st.floats(1e-3, 4000), st.floats(1e-6, 1e6))
 def test_clamp_keeps_the_target_above_a_few_pixels_and_inside_the_frame(w, h, scale):
     model = ScaleModel(CONFIG.replace(scale_max_area=64), (w, h))

@@ -15,7 +15,7 @@ from mfcmt_core import MFCMT, BadSnapshot
 
 from .helpers import assert_sane
 
-FUZZ = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FUZZ = settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def check(blob, frames):

@@ -49,7 +49,7 @@ def test_frames_follow_from_the_seed_in_any_order():
         one.frames[12]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.floats(-12, 60), st.floats(-12, 45), st.floats(8, 40), st.floats(8, 40), st.floats(1, 5))
 def test_blend_fills_the_box_to_a_fraction_of_a_pixel(x, y, w, h, detail):
     """A white sprite on black has the box's area as its mass and the box's middle as its centroid."""

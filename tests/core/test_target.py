@@ -148,7 +148,7 @@ def test_without_a_margin_every_window_is_a_new_crop(frame, config, by, scale, a
 # --- places ---
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     st.sampled_from(list(CONFIGS)),
     st.tuples(st.floats(-8, 8), st.floats(-8, 8)),

@@ -229,7 +229,7 @@ def test_any_target_in_any_frame(size, box, preset):
         assert result.box[2] / result.box[3] == pytest.approx(box[2] / box[3])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.tuples(st.integers(1, 90), st.integers(1, 90)),
     st.tuples(st.floats(-1, 2), st.floats(-1, 2)),

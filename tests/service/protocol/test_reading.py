@@ -8,7 +8,7 @@ from typing import Any
 
 import msgpack
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from jsonschema_rs import Draft202012Validator
 
@@ -51,7 +51,6 @@ def read(reader: Any, sent: str | bytes) -> Any:
         return body["code"]
 
 
-@settings(deadline=None)
 @given(st.binary(max_size=400))
 @example(b"")
 @example(b"\xc1")
@@ -67,7 +66,6 @@ def test_any_bytes_are_read_or_refused(data: bytes) -> None:
     read(JsonReader(65536), data.decode("latin-1"))
 
 
-@settings(deadline=None)
 @given(maps)
 def test_maps_are_read_as_the_schemas_say(message: dict[str, Any]) -> None:
     """The checks of the fields and the schemas of both contracts agree on what is a message."""
@@ -98,7 +96,6 @@ def _has_what_the_lane_refuses(message: dict[str, Any]) -> bool:
     return any(isinstance(v, int) and v < 0 for v in message.get("region") or ())
 
 
-@settings(deadline=None)
 @given(st.dictionaries(st.sampled_from(["type", "frame", "seq", "ts", "region"]), scalars | st.binary(max_size=9)))
 def test_msgpack_frames(message: dict[str, Any]) -> None:
     message["type"] = "frame"

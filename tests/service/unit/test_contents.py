@@ -146,7 +146,7 @@ def paths(value: Any, here: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return found
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_fuzz_a_value_inside(store: LaneOperations, sound: dict[str, Any], data: st.DataObject) -> None:
     """Any value, anywhere in the contents or in a tracker of them."""

@@ -256,7 +256,6 @@ class Tenants(RuleBasedStateMachine):
 Tenants.TestCase.settings = settings(
     max_examples=30,
     stateful_step_count=30,
-    deadline=None,
     suppress_health_check=list(HealthCheck),
     phases=(Phase.explicit, Phase.reuse, Phase.generate),  # to make a failure shorter takes minutes
 )

@@ -98,7 +98,7 @@ def target(clip: Clip) -> Iterator[Target]:
 
 
 @document.parametrize()
-@settings(max_examples=50, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=50, suppress_health_check=list(HealthCheck))
 def test_every_call(case: Any, target: Target) -> None:
     if "session_id" in (case.path_parameters or {}) and case.method != "DELETE":
         case.path_parameters["session_id"] = target.session
