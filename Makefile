@@ -5,6 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SERVING := $(VENV)/.serving
 DEVELOPMENT := $(VENV)/.development
+VIDEO := $(VENV)/.video
 PEERS := .venv-peers/.installed
 DATA ?= $(or $(MFCMT_OTB_ROOT),../shared/data/otb)
 PUBLISHED ?= $(wildcard $(dir $(DATA:/=))published)
@@ -15,7 +16,7 @@ BYTECODE := $(if $(PYTHONDONTWRITEBYTECODE),env -u PYTHONDONTWRITEBYTECODE PYTHO
 PYTEST := $(BYTECODE) $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 LOCK := uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q -U
 
-.PHONY: help setup warmup serve demo test test-fast test-docker fresh lint lock bench peers bench-peers eval reproduce guide clean
+.PHONY: help setup video warmup serve demo test test-fast test-docker fresh lint lock bench peers bench-peers eval reproduce guide clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -31,6 +32,12 @@ $(DEVELOPMENT): requirements-dev.lock $(SERVING)
 	@touch $@
 
 setup: $(DEVELOPMENT)  ## make .venv with all that development needs, from the lock files
+
+$(VIDEO): .ci/video.lock $(SERVING)
+	@$(BIN)/python .ci/install.py .ci/video.lock
+	@touch $@
+
+video: $(VIDEO)  ## add what video files need to .venv: FFmpeg's libraries, 104 MB; `make setup` has them
 
 warmup: $(SERVING)  ## compile the kernels for this CPU (half a minute once, then nothing)
 	@$(BIN)/mfcmt warmup
@@ -88,6 +95,7 @@ lock:  ## refresh the lock files (needs uv)
 	$(LOCK) pyproject.toml --all-extras -o requirements-dev.lock
 	$(LOCK) pyproject.toml --extra service --extra otel --group editable -c requirements-dev.lock -o requirements.lock
 	$(LOCK) pyproject.toml docker/build.in --extra service --extra otel -c requirements-dev.lock -o docker/requirements.lock
+	$(LOCK) .ci/video.in -c requirements-dev.lock -o .ci/video.lock
 	$(LOCK) .ci/peers.in -o .ci/peers.lock
 
 clean:  ## remove what the targets made

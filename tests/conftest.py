@@ -34,6 +34,7 @@ SLOW = (
     "core/test_cli_warmup.py",
     "core/test_determinism.py",
     "core/test_progress.py",
+    "core/video",
     "docker/test_image.py",
     "docker/test_monitoring.py",
     "docker/test_proxies.py",

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ..images.files import SUFFIXES, BadImageFile, read_image
+from ..images.files import BadImageFile, list_images, read_image
 from .errors import DataError, NoData
 from .metrics import Array, Mask
 from .video import SUFFIXES as VIDEO_SUFFIXES
@@ -235,13 +235,6 @@ def _truth_file(folder: Path, number: str) -> Path:
         if (folder / name).is_file():
             return folder / name
     raise DataError(f"{folder}: has no {' or '.join(names)}")
-
-
-def list_images(folder: Path) -> list[Path]:
-    """The image files of a folder, in the order of their numbers; those that a system hides (``._1.jpg``) are none."""
-    found = folder.iterdir() if folder.is_dir() else ()
-    images = [p for p in found if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
-    return sorted(images, key=lambda p: (_number(p), p.name))
 
 
 def numbered_images(folder: Path, first: int, last: int) -> tuple[Path, ...]:

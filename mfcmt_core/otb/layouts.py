@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ..images.files import list_images
 from .dataset import (
     ONE_BASED,
     Dataset,
     Sequence,
-    list_images,
     locate_otb,
     numbered_images,
     open_otb,
@@ -26,6 +26,7 @@ from .dataset import (
 from .errors import DataError, NoData
 from .metrics import Array
 from .video import SUFFIXES as VIDEO_SUFFIXES
+from .video import count_frames
 
 ZERO_BASED: Array = np.zeros(4)
 
@@ -103,13 +104,17 @@ def open_videos(root: Path) -> Dataset:
     found = {}
     for path in _videos(root):
         boxes = read_boxes(path.with_suffix(".txt"))
+        frames = count_frames(path)
+        if frames is not None and frames != len(boxes):
+            raise DataError(f"{path.with_suffix('.txt')}: {len(boxes)} boxes for {frames} frames")
         found[path.stem] = Sequence.of(path.stem, [path] * len(boxes), boxes)
     return _gathered(root.resolve().name, root, found)
 
 
 def _videos(root: Path) -> list[Path]:
     """The videos of a folder that have a text file of their name beside them."""
-    return sorted(p for p in root.iterdir() if p.suffix.lower() in VIDEO_SUFFIXES and p.with_suffix(".txt").is_file())
+    videos = (p for p in root.iterdir() if p.suffix.lower() in VIDEO_SUFFIXES and not p.name.startswith("."))
+    return sorted(p for p in videos if p.with_suffix(".txt").is_file())
 
 
 LAYOUTS: dict[str, Callable[[Path], Dataset]] = {

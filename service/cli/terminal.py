@@ -13,7 +13,8 @@ from pathlib import Path
 
 from mfcmt_core.cli import UsageError
 from mfcmt_core.cli.boxes import parse_box
-from mfcmt_core.cli.media import MediaError, open_source
+from mfcmt_core.cli.media import open_source
+from mfcmt_core.errors import MFCMTError
 
 from ..client import Client, ClientError, Frame, Result
 from ..load.clips import Box, encode, open_clip
@@ -69,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
             for result in stream:
                 print(f"{before}{tally.line(result)}", end=after, flush=True)
             print(f"{before}{tally.summary()}")
-    except (ClientError, ServerFailed, MediaError) as failed:
+    except (ClientError, ServerFailed, MFCMTError) as failed:
         print(f"mfcmt demo: {failed}", file=sys.stderr)
         return 1
     except BrokenPipeError:  # whoever reads the output has closed it
@@ -83,13 +84,13 @@ def _open(args: argparse.Namespace) -> tuple[bytes, Iterator[bytes], Box, float]
         clip = open_clip(None if args.source is None else Path(args.source), args.box, args.frames)
         return clip.frames[0], iter(clip.frames[1:]), clip.box, SAMPLE_FPS
     source = open_source(args.source)
-    image = next(source.frames, None)
-    if image is None:
-        raise MediaError(f"no frames in {args.source}")
-    height, width = image.shape[:2]
+    first = next(source.frames, None)
+    if first is None:
+        raise MFCMTError(f"no frames in {args.source}")
+    height, width = first.image.shape[:2]
     box = parse_box(args.box) if args.box else (0.375 * width, 0.375 * height, 0.25 * width, 0.25 * height)
-    rest = (encode(image) for image, _ in zip(source.frames, range(args.frames - 1), strict=False))
-    return encode(image), rest, box, source.fps
+    rest = (encode(frame.image) for frame, _ in zip(source.frames, range(args.frames - 1), strict=False))
+    return encode(first.image), rest, box, source.fps
 
 
 def _paced(frames: Iterator[bytes], fps: float) -> Iterator[Frame]:

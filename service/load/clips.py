@@ -14,10 +14,11 @@ from mfcmt_core.cli import UsageError
 from mfcmt_core.cli.boxes import parse_box
 from mfcmt_core.images import FrameError, FrameLimits, inspect
 from mfcmt_core.images.decode import decode
+from mfcmt_core.images.files import list_images
 
 Box = tuple[float, float, float, float]
 
-IMAGES = {".jpg", ".jpeg", ".png", ".webp"}
+IMAGES = {".jfif", ".jpe", ".jpeg", ".jpg", ".png", ".webp"}
 JPEG_QUALITY = 80
 LIMITS = FrameLimits()
 
@@ -98,12 +99,7 @@ def sample(length: int) -> Clip:
 
 def images_of(folder: Path) -> list[Path]:
     """The images in ``folder`` or its ``img``, in the order of their numbers."""
-    for place in (folder, folder / "img"):
-        if place.is_dir():
-            files = [file for file in place.iterdir() if file.suffix.lower() in IMAGES]
-            if files:
-                return sorted(files, key=lambda f: [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", f.name)])
-    return []
+    return list_images(folder, IMAGES) or list_images(folder / "img", IMAGES)
 
 
 def _ground_truth(folder: Path) -> Box | None:

@@ -17,6 +17,7 @@ import pytest
 from mfcmt_core import MFCMT, MFCMTConfig, TrackResult, synthetic
 from mfcmt_core.cli import main
 from mfcmt_core.cli.media import Source
+from mfcmt_core.video import Frame
 from tests.commands import run_command
 
 SCRIPT = Path(sys.executable).with_name("mfcmt")
@@ -70,7 +71,7 @@ def test_csv_is_the_default_and_equals_the_library(folder, box, truth):
     assert [int(r["frame"]) for r in rows] == list(range(LENGTH))
     for row, result in zip(rows, truth, strict=True):
         assert [float(row[k]) for k in "xywh"] == pytest.approx(result.box, rel=1e-9)
-        assert row["status"] == result.status
+        assert (row["status"], row["target"], row["time_s"]) == (result.status, "target", "")
         assert row["updated"] == str(result.updated).lower()
         assert float(row["scale"]) == pytest.approx(result.scale)
         assert float(row["confidence"]) == pytest.approx(result.confidence)
@@ -92,6 +93,8 @@ def test_json_lines_carry_the_whole_result(folder, box, truth):
         assert line["status"] == result.status
         assert set(line) == {
             "frame",
+            "time_s",
+            "target",
             "box",
             "status",
             "reliable",
@@ -218,7 +221,7 @@ def test_a_box_may_lie_partly_outside(folder):
     for box in (["-5,80,64,78"], ["-5", "80", "64", "78"], ["5,-8,64,78"]):
         done = track(folder, "--box", *box)
         assert (done.returncode, done.stderr) == (0, "")
-        assert done.stdout.splitlines()[1].startswith(f"0,{','.join(box)},tracking")
+        assert done.stdout.splitlines()[1].startswith(f"0,,target,{','.join(box)},tracking")
 
 
 def test_failures_while_tracking_are_one_line_and_exit_1(folder, box, tmp_path):
@@ -283,10 +286,10 @@ def test_progress_on_a_terminal_only(folder, box):
 @pytest.mark.parametrize(("live", "code"), [(True, 0), (False, 130)])
 def test_interrupt_ends_a_camera_well_and_keeps_what_was_tracked(clip, box, tmp_path, monkeypatch, live, code):
     def frames():
-        yield from clip.frames[:5]
+        yield from (Frame(i, i / 30, image) for i, image in enumerate(clip.frames[:5]))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mfcmt_core.cli.track.open_source", lambda _: Source(frames(), None, 30.0, live))
+    monkeypatch.setattr("mfcmt_core.cli.track.open_source", lambda *_: Source(frames(), None, 30.0, live))
     out, video = tmp_path / "boxes.csv", tmp_path / "seen.avi"
     assert main(["track", "0", "--box", box, "--output", str(out), "--video", str(video)]) == code
     assert len(out.read_text().splitlines()) == 6

@@ -60,6 +60,8 @@ def test_the_packages_for_serving_are_a_subset_of_those_for_development() -> Non
         for path in (SERVING, DEVELOPMENT)
     )
     assert serving.items() <= development.items()
+    video = {str(requirement): hashes for requirement, hashes in entries((ROOT / ".ci" / "video.lock").read_text())}
+    assert video.items() <= development.items()
     names = {canonicalize_name(Requirement(pin).name) for pin in serving}
     assert not names & {"pytest", "hypothesis", "playwright", "ruff", "mypy", "scipy", "matplotlib", "schemathesis"}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())

@@ -11,7 +11,7 @@ import pytest
 from mfcmt_core.cli import UsageError, media
 from mfcmt_core.images import FrameLimits
 from mfcmt_core.images.decode import decode
-from mfcmt_core.images.files import SUFFIXES, BadImageFile, read_image
+from mfcmt_core.images.files import SUFFIXES, BadImageFile, list_images, read_image
 from mfcmt_core.otb import DataError, Sequence
 from tests.core import jpegs
 from tests.service.frames import images
@@ -84,7 +84,7 @@ def test_a_folder_is_read_in_the_order_of_the_numbers_in_its_names(tmp_path):
     source = media.open_source(str(folder))
     assert source.length == len(names)
     assert sum(1 for _ in source.frames) == len(names)
-    listed = [file.name for file in media._listed(folder)]
+    listed = [file.name for file in list_images(folder)]
     assert listed.index("a2.jpg") < listed.index("a10.jfif") < listed.index("a100.jpe")
 
 
@@ -100,7 +100,7 @@ def test_a_truncated_frame_is_neither_tracked_nor_scored(tmp_path):
     save(folder / "2.jpg", CUT)
     frames = media.open_source(str(folder)).frames
     next(frames)
-    with pytest.raises(media.MediaError, match=r"cannot read .*2\.jpg: the jpeg image is damaged"):
+    with pytest.raises(BadImageFile, match=r"cannot read .*2\.jpg: the jpeg image is damaged"):
         next(frames)
     sequence = Sequence.of("cut", sorted(folder.iterdir()), np.tile([10.0, 10, 40, 30], (2, 1)))
     sequence.read(0)
@@ -112,5 +112,5 @@ def test_faulty_jpegs_are_tracked_and_scored_as_in_the_service(tmp_path):
     odd = jpegs.before_restarts(jpegs.with_restarts(), b"\0")
     file = save(tmp_path / "1.jpg", odd)
     expected, _ = decode(odd, FrameLimits())
-    assert np.array_equal(next(iter(media.open_source(str(tmp_path)).frames)), expected)
+    assert np.array_equal(next(media.open_source(str(tmp_path)).frames).image, expected)
     assert np.array_equal(Sequence.of("odd", [Path(file)], np.ones((1, 4))).read(0), expected)

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from mfcmt_core.images.files import list_images
 from mfcmt_core.otb import (
     ATTRIBUTES,
     DataError,
@@ -19,7 +20,6 @@ from mfcmt_core.otb import (
     read_result,
     write_boxes,
 )
-from mfcmt_core.otb.dataset import list_images
 
 # the names of the 98 folders and counts that the benchmark's page gives
 TOTALS = {

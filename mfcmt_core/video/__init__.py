@@ -1,0 +1,6 @@
+"""Video files, read and written with PyAV: each frame once, with its time, and a word where one is missing."""
+
+from .errors import MissingFrames, VideoError
+from .read import SUFFIXES, Frame, VideoReader
+
+__all__ = ["SUFFIXES", "Frame", "MissingFrames", "VideoError", "VideoReader"]
