@@ -14,6 +14,7 @@ from ..config import MFCMTConfig
 from ..errors import MFCMTError
 from ..exports import Clip, Options, Row, open_writer
 from ..video import Frame
+from ..video.sound import Sound
 from ..video.write import VideoWriter
 from .media import MediaError, Source
 from .overlay import Overlay
@@ -32,6 +33,7 @@ class Job:
     config: MFCMTConfig
     options: Options
     video: Path | None = None
+    audio: bool = False
     rescale: bool = False
 
     @property
@@ -96,8 +98,15 @@ class _Outputs:
             self._rows = open_writer(options, job.clip)
         except OSError as failed:
             raise self._unwritten(failed) from failed
-        self._video = VideoWriter(job.video, job.source.fps) if job.video else None
+        self._video = self._writer() if job.video else None
         self._overlay = Overlay([start.target for start in job.starts])
+
+    def _writer(self) -> VideoWriter:
+        job, sound = self._job, None
+        assert job.video is not None
+        if job.audio and job.source.path is not None:
+            sound = Sound(job.source.path, job.source.origin_s)
+        return VideoWriter(job.video, job.source.fps, sound)
 
     def write(self, frame: Frame, rows: Sequence[Row]) -> None:
         """Write a frame's results. Raises MFCMTError."""

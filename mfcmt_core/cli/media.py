@@ -31,7 +31,8 @@ class Source:
     """A source of frames.
 
     ``frames`` can be read once, in order; ``length`` is None if it is not known beforehand. ``path`` is the file or
-    the folder, and None for a camera; ``images`` are the names of a folder's images.
+    the folder, and None for a camera; ``images`` are the names of a
+    folder's images, ``origin_s`` the second of a video's own clock that is its 0.
     """
 
     frames: Iterator[Frame]
@@ -40,6 +41,7 @@ class Source:
     live: bool = False
     path: Path | None = None
     images: tuple[str, ...] = ()
+    origin_s: float = 0.0
 
 
 def open_source(text: str, fps: float | None = None) -> Source:
@@ -58,7 +60,7 @@ def open_source(text: str, fps: float | None = None) -> Source:
             reader = VideoReader(path)
         except VideoError as bad:
             raise UsageError(str(bad)) from bad
-        return Source(iter(reader), reader.length, reader.fps, path=path)
+        return Source(iter(reader), reader.length, reader.fps, path=path, origin_s=reader.origin_s)
     if text.isascii() and text.isdigit():
         return _camera(int(text))
     scheme, is_url, _ = text.partition("://")

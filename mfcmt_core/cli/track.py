@@ -38,6 +38,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--output", metavar="FILE", type=Path, help="write the boxes there (default: the standard output)")
     add("--tolerance", type=float, default=1.0, metavar="PX", help="cvat, labelstudio: thin out by so many pixels (1)")
     add("--video", metavar="FILE", type=Path, help="also write an annotated video (.mp4, .mov, .mkv, .webm, .avi)")
+    add("--audio", action="store_true", help="with --video: with the sound of a source that is a video file")
     add("--fps", type=float, metavar="N", help="a folder's images a second, which gives them times")
     add(
         "--on-resize",
@@ -71,7 +72,9 @@ def run(args: argparse.Namespace) -> int:
 
                 box = pick_box(first.image, browser=not args.no_browser)
             starts = [Start(Target(name=args.name, kind=args.kind), box)]
-            job = Job(source, first, starts, config, options, args.video, rescale=args.on_resize == "rescale")
+            job = Job(
+                source, first, starts, config, options, args.video, args.audio, rescale=args.on_resize == "rescale"
+            )
             counts = follow(job, ending)
         except BadBox as bad:
             raise UsageError(str(bad)) from bad
@@ -88,6 +91,8 @@ def run(args: argparse.Namespace) -> int:
 def _options(args: argparse.Namespace) -> Options:
     """Return how the boxes are written. Raises UsageError for outputs that cannot be."""
     output: Path | None = args.output
+    if args.audio and (args.video is None or not Path(args.source).is_file()):
+        raise UsageError("--audio needs --video, and a source that is a video file")
     style = args.format or SUFFIXES.get((output or Path()).suffix.lower(), "csv")
     if style == "yolo" and output is None:
         raise UsageError("--format yolo writes a folder: name it with --output")

@@ -91,6 +91,7 @@ class VideoReader:
             raise
         rate = self._stream.average_rate or self._stream.guessed_rate
         self.fps = float(rate) if rate and 0 < rate < 1000 else 30.0
+        self._restarts = bool(self.container.format.flags & av.format.Flags.ts_discont.value)
         self.origin_s = self._origin()
         self._stream.codec_context.thread_type = "NONE"  # an error belongs to the packet that was given last
         self._stream.codec_context.thread_count = 1
@@ -164,7 +165,7 @@ class VideoReader:
 
     def _origin(self) -> float:
         """Return the second of the file's clock that counts as 0."""
-        if self.container.format.flags & library().format.Flags.ts_discont.value and self.container.start_time:
+        if self._restarts and self.container.start_time:
             return float(Fraction(self.container.start_time, library().time_base))
         return 0.0
 
@@ -190,7 +191,7 @@ class VideoReader:
         """Return the pictures that a packet completes; None flushes the decoder."""
         if packet is not None:
             self._packets += 1
-            if packet.is_corrupt:
+            if packet.is_corrupt and not self._restarts:  # joined recordings have such packets, which are sound
                 self._said = self._said or "a packet is not whole"
         try:
             return list(self._stream.codec_context.decode(packet))

@@ -14,6 +14,7 @@ from ..files import partial_name
 from .errors import VideoError
 from .library import library
 from .picture import Image
+from .sound import Sound
 
 CODECS = {
     **dict.fromkeys((".mp4", ".m4v", ".mov", ".mkv"), "libx264"),
@@ -51,6 +52,8 @@ class VideoWriter:
         Where it goes. Its suffix, one of :data:`CODECS`, decides on container and codec.
     fps : float
         Frames a second; it tells the codec the usual distance of frames, whose times are kept as they are given.
+    sound : Sound, optional
+        What is heard; it is closed with the file.
 
     Raises
     ------
@@ -58,7 +61,7 @@ class VideoWriter:
         If the file cannot be written.
     """
 
-    def __init__(self, path: Path, fps: float) -> None:
+    def __init__(self, path: Path, fps: float, sound: Sound | None = None) -> None:
         check_target(path)
         self._path = path
         self._partial = partial_name(path)
@@ -70,6 +73,7 @@ class VideoWriter:
         self._size = (0, 0)
         self._last = -1
         self._count = 0
+        self._sound = sound
 
     def write(self, image: Image, time_s: float) -> None:
         """Append a BGR image, (H, W, 3) uint8, shown from ``time_s`` on."""
@@ -85,6 +89,8 @@ class VideoWriter:
             frame.duration = round(1 / self._rate / self._base)
             for packet in self._stream.encode(frame):
                 self._container.mux(packet)
+            if self._sound:
+                self._sound.write_until(float(self._last * self._base))
             self._count += 1
         except OSError as failed:
             raise self._broken(failed) from failed
@@ -97,6 +103,8 @@ class VideoWriter:
         try:
             for packet in self._stream.encode(None):
                 container.mux(packet)
+            if self._sound:
+                self._sound.write_until(float((self._last + 1) * self._base) + 1 / float(self._rate))
             container.close()
             os.replace(self._partial, self._path)
         except OSError as failed:
@@ -111,6 +119,7 @@ class VideoWriter:
         self._size = (width + width % 2, height + height % 2)
         if self._path.is_dir():
             raise IsADirectoryError(21, os.strerror(21))
+        self._partial.touch()  # FFmpeg opens it when it has something to write
         self._container = av.open(f"file:{self._partial.absolute()}", "w", format=kind, options=options)
         codec = CODECS[suffix]
         stream = self._container.add_stream(codec, rate=self._rate, options=dict(_SETTINGS[codec]))
@@ -123,6 +132,8 @@ class VideoWriter:
         context.color_range = _LIMITED
         context.thread_count = 1
         self._stream = stream
+        if self._sound:
+            self._sound.open(self._container)
 
     def _fitted(self, image: Image) -> Image:
         width, height = self._size
