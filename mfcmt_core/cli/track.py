@@ -36,7 +36,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--class", dest="kind", default="object", help="the target's class in the output (object)")
     add("--format", choices=FORMATS, help="default: by the output's suffix, or csv")
     add("--output", metavar="FILE", type=Path, help="write the boxes there (default: the standard output)")
-    add("--tolerance", type=float, default=1.0, metavar="PX", help="cvat, labelstudio: thin out by so many pixels (1)")
+    add("--tolerance", type=float, default=2.0, metavar="PX", help="cvat, labelstudio: thin out by so many pixels (2)")
     add("--video", metavar="FILE", type=Path, help="also write an annotated video (.mp4, .mov, .mkv, .webm, .avi)")
     add("--audio", action="store_true", help="with --video: with the sound of a source that is a video file")
     add("--fps", type=float, metavar="N", help="a folder's images a second, which gives them times")
@@ -72,9 +72,8 @@ def run(args: argparse.Namespace) -> int:
 
                 box = pick_box(first.image, browser=not args.no_browser)
             starts = [Start(Target(name=args.name, kind=args.kind), box)]
-            job = Job(
-                source, first, starts, config, options, args.video, args.audio, rescale=args.on_resize == "rescale"
-            )
+            rescale = args.on_resize == "rescale"
+            job = Job(source, first, starts, config, options, args.video, args.audio, rescale)
             counts = follow(job, ending)
         except BadBox as bad:
             raise UsageError(str(bad)) from bad

@@ -46,7 +46,7 @@ def coco(clip: Clip, rows: Iterable[Row]) -> dict[str, Any]:
                     "category_id": kinds[target.kind],
                     "bbox": [x, y, w, h],
                     "area": round(w * h, 3),
-                    "segmentation": [[x, y, x + w, y, x + w, y + h, x, y + h]],
+                    "segmentation": [],
                     "iscrowd": 0,
                     "score": round(row.result.confidence, 4),
                     "status": row.result.status,

@@ -36,7 +36,7 @@ class Options:
 
     format: str = "csv"
     output: Path | None = None
-    tolerance: float = 1.0
+    tolerance: float = 2.0
     keyframes: bool = False
     flush: bool = False
 

@@ -1,4 +1,4 @@
-"""YOLO: a text file a frame, with class, centre and size as shares of the frame, and the target's number."""
+"""YOLO: a text file a frame, with class, centre and size as shares of the frame."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .rows import Clip, Row, by_target, seen
 def yolo(folder: Path, clip: Clip, rows: Iterable[Row]) -> None:
     """Write ``labels/*.txt`` and ``data.yaml`` into ``folder``. A frame without a visible target has an empty file.
 
-    Lines are ``class x y w h track``, as trackers of YOLO write them. Raises OSError.
+    Lines are ``class x y w h``; the numbers of tracks have no place in this format. Raises OSError.
     """
     tracks = by_target(rows)
     kinds = list(dict.fromkeys(target.kind for target in tracks))
@@ -25,7 +25,7 @@ def yolo(folder: Path, clip: Clip, rows: Iterable[Row]) -> None:
                 x, y, w, h = box
                 shares = ((x + w / 2) / clip.width, (y + h / 2) / clip.height, w / clip.width, h / clip.height)
                 numbers = " ".join(f"{share:.6f}" for share in shares)
-                of_frame.append(f"{kinds.index(target.kind)} {numbers} {target.id}\n")
+                of_frame.append(f"{kinds.index(target.kind)} {numbers}\n")
     (folder / "labels").mkdir(parents=True, exist_ok=True)
     for frame, of_frame in lines.items():
         name = PurePath(clip.image(frame)).stem
