@@ -5,21 +5,25 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 
 from ..config import PRESETS, MFCMTConfig
-from ..errors import BadBox, MFCMTError
+from ..errors import BadBox
 from ..exports import FORMATS, SUFFIXES, Options, Target
 from ..otb.catalogue import read_config
 from ..otb.errors import DataError
 from ..video import VideoError
 from ..video.write import check_target
 from . import UsageError
+from .box_files import once_each, read_boxes
 from .boxes import parse_box
-from .follow import Job, follow
-from .media import open_source
+from .follow import Task, follow, open_task
+from .many import is_many, track_many
+from .progress import Progress
 from .signals import Ended, Ending
 from .targets import Start
 
@@ -27,9 +31,10 @@ from .targets import Start
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     add = parser.add_argument
-    add("source", metavar="SOURCE", help="a folder of images, a video file or a camera's number")
+    add("source", metavar="SOURCE", help="a folder of images, a video file, a camera's number, or a folder of videos")
     start = parser.add_mutually_exclusive_group(required=True)
     start.add_argument("--box", metavar="X,Y,W,H", help="the target in the first frame, in 0-based pixels")
+    start.add_argument("--boxes", metavar="FILE", type=Path, help="CSV or JSON of boxes: x,y,w,h,name,class,frame,file")
     start.add_argument("--select", action="store_true", help="draw the box in a page that opens in the browser")
     add("--no-browser", action="store_true", help="with --select: print the page's address only")
     add("--name", default="target", help="the target's name in the output (target)")
@@ -40,6 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--video", metavar="FILE", type=Path, help="also write an annotated video (.mp4, .mov, .mkv, .webm, .avi)")
     add("--audio", action="store_true", help="with --video: with the sound of a source that is a video file")
     add("--fps", type=float, metavar="N", help="a folder's images a second, which gives them times")
+    add("--jobs", type=int, default=os.cpu_count(), help="a folder of videos: number of processes (one per CPU)")
     add(
         "--on-resize",
         choices=("reject", "rescale"),
@@ -53,41 +59,72 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Track, write the results, and return the exit code."""
-    box = parse_box(args.box) if args.box is not None else None
     if args.fps is not None and not 0 < args.fps <= 10000:
         raise UsageError("--fps is above 0")
     if not 0 <= args.tolerance < 1e6:
         raise UsageError("--tolerance is a number of pixels, 0 or more")
-    config = _config(args.preset, args.config)
-    options = _options(args)
+    starts = _starts(args)
     cv2.setNumThreads(1)  # more threads take processor time and are no faster
-    with Ending() as ending:
-        try:
-            source = open_source(args.source, args.fps)
-            first = next(source.frames, None)
-            if first is None:
-                raise MFCMTError(f"no frames in {args.source}")
-            if box is None:
-                from .pick import pick_box
-
-                box = pick_box(first.image, browser=not args.no_browser)
-            starts = [Start(Target(name=args.name, kind=args.kind), box)]
-            rescale = args.on_resize == "rescale"
-            job = Job(source, first, starts, config, options, args.video, args.audio, rescale)
-            counts = follow(job, ending)
-        except BadBox as bad:
-            raise UsageError(str(bad)) from bad
-        except Ended as ended:
-            return ended.code
-        except BrokenPipeError:  # the reader has closed the pipe
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return 0
+    if args.boxes and is_many(Path(args.source)):
+        return track_many(args, starts, _config(args.preset, args.config))
+    of_source = _of_source(args, starts)
+    task = Task(
+        args.source,
+        tuple(once_each(of_source, args.boxes)),
+        _config(args.preset, args.config),
+        _options(args, of_source),
+        args.video,
+        args.audio,
+        args.on_resize == "rescale",
+        args.fps,
+    )
+    try:
+        counts = _track(task, args)
+    except Ended as ended:
+        return ended.code
+    except BrokenPipeError:  # the reader has closed the pipe
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     if sys.stderr.isatty():
         print(", ".join(f"{n} {status}" for status, n in counts.items()), file=sys.stderr)
     return 0
 
 
-def _options(args: argparse.Namespace) -> Options:
+def _track(task: Task, args: argparse.Namespace) -> Counter[str]:
+    """Track one source, with a line that shows how far it is."""
+    shown = task.options.output is not None or not sys.stdout.isatty()  # boxes on a terminal show the progress
+    with Ending() as ending:
+        source, first = open_task(task)
+        if not task.starts:
+            from .pick import pick_box
+
+            box = pick_box(first.image, browser=not args.no_browser)
+            task = replace(task, starts=(Start(Target(name=args.name, kind=args.kind), box),))
+        with Progress(source.length, shown=shown) as bar:
+            try:
+                return follow(task, ending, lambda _, __, status: bar.step(status), source, first)
+            except BadBox as bad:
+                raise UsageError(str(bad)) from bad
+
+
+def _starts(args: argparse.Namespace) -> dict[str, list[Start]]:
+    """Return the targets by the file that they are in, ``""`` if that is the source."""
+    if args.boxes is not None:
+        return read_boxes(args.boxes, args.name, args.kind)
+    box = parse_box(args.box) if args.box is not None else None
+    return {"": [] if box is None else [Start(Target(name=args.name, kind=args.kind), box)]}
+
+
+def _of_source(args: argparse.Namespace, starts: dict[str, list[Start]]) -> list[Start]:
+    """Return the targets of the one source."""
+    path = Path(args.source)
+    for name in ("", args.source, path.name, path.stem):
+        if name in starts:
+            return starts[name]
+    raise UsageError(f"{args.boxes} has no box for {path.name}")
+
+
+def _options(args: argparse.Namespace, starts: list[Start]) -> Options:
     """Return how the boxes are written. Raises UsageError for outputs that cannot be."""
     output: Path | None = args.output
     if args.audio and (args.video is None or not Path(args.source).is_file()):
@@ -95,6 +132,8 @@ def _options(args: argparse.Namespace) -> Options:
     style = args.format or SUFFIXES.get((output or Path()).suffix.lower(), "csv")
     if style == "yolo" and output is None:
         raise UsageError("--format yolo writes a folder: name it with --output")
+    if style == "otb" and len(starts) > 1:
+        raise UsageError("--format otb has one target; csv, jsonl, mot and others have several")
     for path in (output, args.video):
         if path is None:
             continue
@@ -109,7 +148,7 @@ def _options(args: argparse.Namespace) -> Options:
             raise UsageError(str(bad)) from bad
     if output is not None and args.video is not None and output.resolve() == args.video.resolve():
         raise UsageError(f"--output and --video are the same file, {output}")
-    return Options(style, output, args.tolerance)
+    return Options(style, output, args.tolerance, flush=args.source.isdigit() or "://" in args.source)
 
 
 def _within(path: Path, source: Path) -> bool:

@@ -181,7 +181,7 @@ def test_preset_and_config_reach_the_tracker(folder, box, clip, tmp_path):
         (("{}", "--box", "0.4,0.33,0.2,0.32"), "less than a pixel; a box is x, y, w, h in pixels and not shares"),
         (("rtsp://user:secret@camera/1", "--box", "1,2,3,4"), "rtsp:// is not read here, only a folder of images"),
         (("https://camera/a.mp4", "--box", "1,2,3,4"), "docs/examples/track_video.py"),
-        (("{}",), "--box --select"),
+        (("{}",), "--box --boxes --select"),
         (("{}", "--box", "1,2,3,4", "--select"), "not allowed with"),
         (("{}", "--box", "1,2,3,4", "--format", "xml"), "xml"),
         (("{}", "--box", "1,2,3,4", "--video", "x.gif"), "no codec for x.gif"),
@@ -289,7 +289,7 @@ def test_interrupt_ends_a_camera_well_and_keeps_what_was_tracked(clip, box, tmp_
         yield from (Frame(i, i / 30, image) for i, image in enumerate(clip.frames[:5]))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mfcmt_core.cli.track.open_source", lambda *_: Source(frames(), None, 30.0, live))
+    monkeypatch.setattr("mfcmt_core.cli.follow.open_source", lambda *_: Source(frames(), None, 30.0, live))
     out, video = tmp_path / "boxes.csv", tmp_path / "seen.avi"
     assert main(["track", "0", "--box", box, "--output", str(out), "--video", str(video)]) == code
     assert len(out.read_text().splitlines()) == 6
