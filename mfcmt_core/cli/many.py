@@ -44,6 +44,8 @@ def track_many(args: argparse.Namespace, starts: dict[str, list[Start]], config:
         raise UsageError("a folder of videos needs --output, a folder for the results")
     if args.output.exists() and not args.output.is_dir():
         raise UsageError(f"--output {args.output} is no folder; many videos need one")
+    if args.video is not None and args.video.resolve() == Path(args.source).resolve():
+        raise UsageError(f"--video {args.video} has the sources, which would be overwritten")
     if "" in starts:
         raise UsageError(f"{args.boxes} does not say which file each box is for: add a column file")
     folder = Path(args.source)

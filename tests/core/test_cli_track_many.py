@@ -112,6 +112,8 @@ def test_many_videos_are_tracked_and_go_on_where_they_stopped(clip, folder, tmp_
     assert "2 of 3 are finished already" in again.stderr
     assert (out / "b.mp4.csv").stat().st_mtime_ns == before
     assert len(rows(out / "cut.mp4.csv")) == LENGTH
+    refused = run_command(*words[:-1], folder)
+    assert (refused.returncode, "would be overwritten" in refused.stderr) == (2, True)
     other = run_command(*words, "--preset", "paper")  # made with another configuration: all anew
     assert "finished already" not in other.stderr
 
@@ -178,7 +180,8 @@ def test_files_of_boxes_may_be_written_in_several_ways(tmp_path):
         "header.csv": "\ufefffile,name,x,y,w,h\r\na.mp4,one,1,2,3,4\r\na.mp4,two,5,6,7,8\r\n",
         "plain.csv": "a.mp4,one,1,2,3,4\na.mp4,two,5,6,7,8\n",
         "names.json": '{"a.mp4": {"one": [1, 2, 3, 4], "two": [5, 6, 7, 8]}}',
-        "list.json": '{"a.mp4": [{"name": "one", "box": [1, 2, 3, 4]}, {"name": "two", "x": 5, "y": 6, "w": 7, "h": 8}]}',
+        "list.json": '{"a.mp4": [{"name": "one", "box": [1, 2, 3, 4]},'
+        '{"name": "two", "x": 5, "y": 6, "w": 7, "h": 8}]}',
         "flat.json": '[{"file": "a.mp4", "name": "one", "box": [1, 2, 3, 4]},'
         '{"file": "a.mp4", "name": "two", "box": [5, 6, 7, 8]}]',
     }
