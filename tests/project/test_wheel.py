@@ -5,14 +5,18 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 from service.cli import TOOLS
 from tests.conftest import ROOT
 
+# Packages that are imported by another name.
+MODULES = {"opencv-python-headless": "cv2", "python-multipart": "multipart"}
 BUILD = "import sys; from hatchling.build import build_wheel; print(build_wheel(sys.argv[1]))"
 
 
@@ -59,3 +63,15 @@ def test_all_other_commands_are_there(wheel: Path) -> None:
     for name in ("track", "eval", "bench", "warmup", "serve", "health", "load", "demo"):
         assert f"    {name} " in listed
         assert run(wheel, name, "--help").returncode == 0
+
+
+def test_the_client_needs_its_own_packages_alone(wheel: Path) -> None:
+    """As README installs it: without the packages of the tracker and of the service."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    names = {Requirement(text).name for text in [*project["dependencies"], *extras["service"]]}
+    names -= {Requirement(text).name for text in extras["client"]} | {"mfcmt"}
+    absent = {MODULES.get(name, name.replace("-", "_")) for name in names}
+    assert {"numpy", "cv2", "fastapi"} <= absent
+    code = f"import sys; sys.modules.update(dict.fromkeys({sorted(absent)})); from service.client import Client"
+    subprocess.run([sys.executable, "-c", code], cwd=wheel, check=True)

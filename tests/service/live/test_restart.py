@@ -16,6 +16,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+import httpx2
 import msgpack
 import pytest
 
@@ -46,6 +47,19 @@ async def kill(server: OwnServer, how: signal.Signals) -> None:
     os.kill(server.pid, how)
     while server.exit_code is None:
         await asyncio.sleep(0.02)
+
+
+async def wait_for_metric(server: OwnServer, series: str, least: float) -> None:
+    """Wait until a series of the metrics is that high."""
+    async with httpx2.AsyncClient(base_url=server.url) as http, asyncio.timeout(60):
+        while metric(await http.get("/metrics"), series) < least:
+            await asyncio.sleep(0.02)
+
+
+def metric(response: httpx2.Response, series: str) -> float:
+    """Return the value of a series; 0 if there is none yet."""
+    lines = (line.rpartition(" ") for line in response.text.splitlines())
+    return next((float(value) for name, _, value in lines if name == series), 0.0)
 
 
 async def test_streams_go_on_through_a_restart(own_server: Serve, clip: Clip, state: Path) -> None:
@@ -115,7 +129,7 @@ async def test_a_client_that_reads_itself_is_told_of_the_loss(own_server: Serve,
         session = await client.create(clip.frames[0], clip.box)
         for index in (1, 2, 3):
             await session.track(clip.frames[index])
-        await asyncio.sleep(0.5)
+        await wait_for_metric(server, "mfcmt_state_write_seconds_count", 1)
         await kill(server, signal.SIGKILL)
         await asyncio.to_thread(server.start)
         async with session.stream(mode="lossless") as stream:
@@ -190,7 +204,7 @@ async def test_the_second_sigterm_stops_at_once_and_keeps_what_is_saved(
         session = await client.create(clip.frames[0], clip.box)
         os.kill(server_processes(server.pid)["lane 0"], signal.SIGSTOP)
         tracking = asyncio.create_task(session.track(clip.frames[1]))
-        await asyncio.sleep(0.2)
+        await wait_for_metric(server, 'mfcmt_frames_received_total{via="http"}', 1)
         os.kill(server.pid, signal.SIGTERM)
         while "draining" not in server.log:
             await asyncio.sleep(0.02)
@@ -271,8 +285,9 @@ async def test_ended_sessions_leave_no_frame_on_disk(own_server: Serve, clip: Cl
         for start, session in enumerate(sessions):
             for frame in sent[1 + start :: 3]:
                 await session.track(frame)
-        await asyncio.sleep(0.5)
-        assert remains(state, sent) > 0
+        async with asyncio.timeout(60):
+            while not remains(state, sent):
+                await asyncio.sleep(0.02)
         for session in sessions:
             await session.close()
         async with asyncio.timeout(60):

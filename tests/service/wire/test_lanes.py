@@ -279,7 +279,7 @@ async def test_lanes_end_with_a_killed_front(serve: Serve, clip: Clip) -> None:
     processes = server_processes(wire.server.pid)
     os.kill(processes["lane 0"], signal.SIGSTOP)  # as if in a computation that does not end
     os.kill(wire.server.pid, signal.SIGKILL)
-    give_up = time.monotonic() + 10
+    give_up = time.monotonic() + PATIENCE_S
     while time.monotonic() < give_up and any(_alive(pid) for pid in processes.values()):
         await asyncio.sleep(0.05)
     assert not [role for role, pid in processes.items() if _alive(pid)]
@@ -331,7 +331,7 @@ async def test_the_second_sigterm_stops_at_once(serve: Serve, clip: Clip) -> Non
 
 
 async def _exit_code(wire: Wire) -> int | None:
-    give_up = time.monotonic() + 15
+    give_up = time.monotonic() + PATIENCE_S
     while wire.server.exit_code is None and time.monotonic() < give_up:
         await asyncio.sleep(0.05)
     return wire.server.exit_code

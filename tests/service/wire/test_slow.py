@@ -29,9 +29,7 @@ Pair = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 @pytest.fixture(scope="module")
 def short_times() -> Iterator[OwnServer]:
     """A server that waits half a second for anything."""
-    with OwnServer(
-        lanes=1, head_timeout_s=0.5, body_timeout_s=0.5, send_timeout_s=0.5, max_frame_bytes=16 << 20
-    ) as own:
+    with OwnServer(lanes=1, head_timeout_s=0.5, body_timeout_s=0.5) as own:
         yield own
 
 
@@ -125,8 +123,9 @@ async def test_a_bad_head_is_a_problem(wire: Wire, head: bytes) -> None:
     assert (await wire.http.get("/livez")).status_code == 200
 
 
-async def test_who_does_not_read_the_answer_is_cut(wire: Wire, clip: Clip) -> None:
+async def test_who_does_not_read_the_answer_is_cut(serve: Serve, clip: Clip) -> None:
     """A large answer stays in our memory only for as long as it is being read."""
+    wire = serve(send_timeout_s=2, max_frame_bytes=16 << 20)
     frame = _padded(clip.frames[0], 12 << 20)
     sid = (await wire.create(frame, clip.box))["id"]
     reader, writer = await asyncio.open_connection("127.0.0.1", wire.server.port, limit=4096)
