@@ -111,4 +111,4 @@ def test_every_call(case: Any, target: Target) -> None:
     if key := (case.headers or {}).get("Idempotency-Key"):
         assume(key not in target.idempotency_keys)
         target.idempotency_keys.add(key)
-    case.call_and_validate(base_url=target.url)
+    case.call_and_validate(base_url=target.url, timeout=60)
