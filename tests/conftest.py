@@ -31,6 +31,7 @@ SLOW = (
     "core/otb/test_runner.py",
     "core/test_cli_bench.py",
     "core/test_cli_track.py",
+    "core/test_cli_track_live.py",
     "core/test_cli_track_many.py",
     "core/test_cli_track_video.py",
     "core/test_cli_warmup.py",

@@ -35,6 +35,8 @@ class Task:
     audio: bool = False
     rescale: bool = False
     fps: float | None = None
+    for_s: float | None = None
+    retry_s: float = 60.0
 
 
 def follow(task: Task, ending: Ending, step: Step, source: Source, first: Frame) -> Counter[str]:
@@ -80,7 +82,7 @@ def follow(task: Task, ending: Ending, step: Step, source: Source, first: Frame)
 
 def open_task(task: Task) -> tuple[Source, Frame]:
     """Return the source and its first frame. Raises UsageError and MFCMTError."""
-    source = open_source(task.source, task.fps)
+    source = open_source(task.source, task.fps, task.for_s, task.retry_s)
     first = next(source.frames, None)
     if first is None:
         raise MFCMTError(f"no frames in {task.source}")

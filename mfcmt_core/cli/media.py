@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
-import numpy as np
 
 from ..errors import MFCMTError
 from ..images.files import SUFFIXES, UNREADABLE_SUFFIXES, BadImageFile, left_out, list_images, read_image
-from ..quiet import quiet
 from ..video import Frame, VideoError, VideoReader
+from ..video.live import SCHEMES, LiveVideo
 from . import UsageError
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # its warnings would break the one-line errors
@@ -44,13 +43,17 @@ class Source:
     origin_s: float = 0.0
 
 
-def open_source(text: str, fps: float | None = None) -> Source:
-    """Open a folder of images (or with an ``img`` folder, as in OTB), a video file, or a camera by its number.
+def open_source(text: str, fps: float | None = None, for_s: float | None = None, retry_s: float = 60.0) -> Source:
+    """Open a folder of images (or with an ``img`` folder, as in OTB), a video, a camera by its number, or a stream.
 
-    ``fps`` gives the images of a folder their times. Raises UsageError if there is no such source. Reading frames
-    raises MFCMTError.
+    ``fps`` gives the images of a folder their times; ``for_s`` and ``retry_s`` are for cameras and streams, as in
+    :class:`LiveVideo`. Raises UsageError if there is no such source. Reading frames raises MFCMTError.
     """
     path = Path(text)
+    scheme, is_url, _ = text.partition("://")
+    live = (text.isascii() and text.isdigit()) or is_url
+    if for_s is not None and (path.exists() or not live):
+        raise UsageError("--for is for cameras and streams; a file ends by itself")
     if path.is_dir():
         return _folder(path, fps)
     if path.is_file():
@@ -61,16 +64,16 @@ def open_source(text: str, fps: float | None = None) -> Source:
         except VideoError as bad:
             raise UsageError(str(bad)) from bad
         return Source(iter(reader), reader.length, reader.fps, path=path, origin_s=reader.origin_s)
-    if text.isascii() and text.isdigit():
-        return _camera(int(text))
-    scheme, is_url, _ = text.partition("://")
-    if is_url:
-        raise UsageError(
-            f"{scheme}:// is not read here, only a folder of images, a video file or a camera's number: "
-            "save it first (ffmpeg -i URL -t 60 clip.mp4), or follow it live with mfcmt serve and "
-            "docs/examples/track_video.py URL x,y,w,h"
-        )
-    raise UsageError(f"no folder, video file or camera: {text}")
+    if not live:
+        raise UsageError(f"no folder, video file or camera: {text}")
+    if is_url and scheme.lower() not in SCHEMES:
+        raise UsageError(f"{scheme}:// is not read; addresses of streams begin with {', '.join(sorted(SCHEMES))}")
+    video = LiveVideo(text if is_url else int(text), retry_s=retry_s, for_s=for_s, tell=_tell)
+    return Source(iter(video), None, 30.0, live=True)
+
+
+def _tell(line: str) -> None:
+    print(f"mfcmt track: {line}", file=sys.stderr, flush=True)
 
 
 def _folder(path: Path, fps: float | None) -> Source:
@@ -85,34 +88,10 @@ def _folder(path: Path, fps: float | None) -> Source:
     if others:
         more = f" and {len(others) - 3} more" if len(others) > 3 else ""
         names = ", ".join(file.name for file in others[:3])
-        print(f"mfcmt track: left out as no images: {names}{more}", file=sys.stderr)
+        _tell(f"left out as no images: {names}{more}")
 
     def frames() -> Iterator[Frame]:
         for index, file in enumerate(files):
             yield Frame(index, index / fps if fps else None, read_image(file))
 
     return Source(frames(), len(files), fps or 30.0, path=place, images=tuple(file.name for file in files))
-
-
-def _camera(number: int) -> Source:
-    with quiet():
-        capture = cv2.VideoCapture(number)
-    if not capture.isOpened():
-        raise UsageError(f"no camera {number}")
-
-    def frames() -> Iterator[Frame]:
-        try:
-            index, start = 0, None
-            while True:
-                ok, image = capture.read()
-                if not ok:
-                    return
-                now = cv2.getTickCount() / cv2.getTickFrequency()
-                start = now if start is None else start
-                yield Frame(index, now - start, np.asarray(image, np.uint8))
-                index += 1
-        finally:
-            capture.release()
-
-    fps = capture.get(cv2.CAP_PROP_FPS)
-    return Source(frames(), None, fps if 0 < fps < 1000 else 30.0, live=True)

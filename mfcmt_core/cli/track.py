@@ -31,7 +31,11 @@ from .targets import Start
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     add = parser.add_argument
-    add("source", metavar="SOURCE", help="a folder of images, a video file, a camera's number, or a folder of videos")
+    add(
+        "source",
+        metavar="SOURCE",
+        help="images' folder, video, camera's number, stream's address, or folder of videos",
+    )
     start = parser.add_mutually_exclusive_group(required=True)
     start.add_argument("--box", metavar="X,Y,W,H", help="the target in the first frame, in 0-based pixels")
     start.add_argument("--boxes", metavar="FILE", type=Path, help="CSV or JSON of boxes: x,y,w,h,name,class,frame,file")
@@ -45,6 +49,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--video", metavar="FILE", type=Path, help="also write an annotated video (.mp4, .mov, .mkv, .webm, .avi)")
     add("--audio", action="store_true", help="with --video: with the sound of a source that is a video file")
     add("--fps", type=float, metavar="N", help="a folder's images a second, which gives them times")
+    add("--for", dest="for_s", type=float, metavar="S", help="a camera or a stream: end after so many seconds")
+    add("--retry", type=float, default=60.0, metavar="S", help="a stream that is gone: try for so long (60)")
     add("--jobs", type=int, default=os.cpu_count(), help="a folder of videos: number of processes (one per CPU)")
     add(
         "--on-resize",
@@ -63,6 +69,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--fps is above 0")
     if not 0 <= args.tolerance < 1e6:
         raise UsageError("--tolerance is a number of pixels, 0 or more")
+    if args.retry < 0 or (args.for_s is not None and args.for_s <= 0):
+        raise UsageError("--for and --retry are numbers of seconds")
     starts = _starts(args)
     cv2.setNumThreads(1)  # more threads take processor time and are no faster
     if args.boxes and is_many(Path(args.source)):
@@ -77,6 +85,8 @@ def run(args: argparse.Namespace) -> int:
         args.audio,
         args.on_resize == "rescale",
         args.fps,
+        args.for_s,
+        args.retry,
     )
     try:
         counts = _track(task, args)

@@ -92,13 +92,14 @@ class VideoWriter:
             if self._sound:
                 self._sound.write_until(float(self._last * self._base))
             self._count += 1
-        except OSError as failed:
+        except (OSError, av.error.FFmpegError) as failed:
             raise self._broken(failed) from failed
 
     def close(self) -> None:
         """Complete the file and move it to its name; nothing is left of one without frames."""
         if self._container is None:
             return
+        av = library()
         container, self._container = self._container, None
         try:
             for packet in self._stream.encode(None):
@@ -107,7 +108,7 @@ class VideoWriter:
                 self._sound.write_until(float((self._last + 1) * self._base) + 1 / float(self._rate))
             container.close()
             os.replace(self._partial, self._path)
-        except OSError as failed:
+        except (OSError, av.error.FFmpegError) as failed:
             raise self._broken(failed) from failed
 
     def _open(self, width: int, height: int) -> None:
@@ -144,13 +145,13 @@ class VideoWriter:
             return np.asarray(cv2.copyMakeBorder(image, 0, down, 0, across, cv2.BORDER_REPLICATE), np.uint8)
         return np.asarray(cv2.resize(image, self._size, interpolation=cv2.INTER_AREA), np.uint8)
 
-    def _broken(self, failed: OSError) -> VideoError:
+    def _broken(self, failed: Any) -> VideoError:
         """Return the error to raise; what was written is kept under its other name, if there is something."""
         container, self._container = self._container, None
         try:
             if container is not None:
                 container.close()
-        except OSError:
+        except (OSError, library().error.FFmpegError):
             pass
         reason = failed.strerror or str(failed)
         kept = self._partial.exists() and self._partial.stat().st_size > 0 and self._count

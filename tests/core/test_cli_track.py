@@ -179,8 +179,6 @@ def test_preset_and_config_reach_the_tracker(folder, box, clip, tmp_path):
         (("{}", "--box", "9000,9000,20,20"), "in the frame of 320x240; a box is x, y, w, h"),
         (("{}", "--box", "280,200,310,230"), "as corners x1, y1, x2, y2: then w is x2 - x1"),
         (("{}", "--box", "0.4,0.33,0.2,0.32"), "less than a pixel; a box is x, y, w, h in pixels and not shares"),
-        (("rtsp://user:secret@camera/1", "--box", "1,2,3,4"), "rtsp:// is not read here, only a folder of images"),
-        (("https://camera/a.mp4", "--box", "1,2,3,4"), "docs/examples/track_video.py"),
         (("{}",), "--box --boxes --select"),
         (("{}", "--box", "1,2,3,4", "--select"), "not allowed with"),
         (("{}", "--box", "1,2,3,4", "--format", "xml"), "xml"),
@@ -188,7 +186,6 @@ def test_preset_and_config_reach_the_tracker(folder, box, clip, tmp_path):
         (("{}", "--box", "1,2,3,4", "--output", "nosuch/x.csv"), "no folder for"),
         (("{}", "--box", "1,2,3,4", "--config", "nosuch.json"), "nosuch.json: "),
         (("{}/img/1.png", "--box", "1,2,3,4"), "is one image"),
-        (("97", "--box", "1,2,3,4"), "no camera 97"),
     ],
 )
 def test_bad_arguments_are_one_line_and_exit_2(folder, args, says, tmp_path):
@@ -199,10 +196,6 @@ def test_bad_arguments_are_one_line_and_exit_2(folder, args, says, tmp_path):
     assert done.stderr.startswith("mfcmt track: ")
     assert len(done.stderr.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
-
-
-def test_an_address_is_refused_without_repeating_its_password(tmp_path):
-    assert "secret" not in track("rtsp://user:secret@camera/1", "--box", "1,2,3,4", cwd=tmp_path).stderr
 
 
 @pytest.mark.parametrize(
