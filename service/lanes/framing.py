@@ -3,11 +3,14 @@
 A message is ``length: u32, call: u32, payload``; the payload of a call is the array ``[op, key, args,
 data]``. The payload of a reply is ``took: f32``, the processor time of the operation in seconds, and ``[code, value]``
 with a problem code or nil. Call 0 gets no reply.
+
+A large payload comes in parts, so that others need not wait for it: messages whose call has the bit ``PART`` set, with
+other messages between them, and at last the end of the payload as an ordinary message. An empty part takes back the
+parts before it.
 """
 
 from __future__ import annotations
 
-import socket
 import struct
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -21,8 +24,12 @@ TOOK = struct.Struct(">f")
 BIN32 = struct.Struct(">BI")
 MAX_MESSAGE_BYTES = 1 << 30
 HELLO, NO_REPLY = 0, 0
+PART = 1 << 31
+PART_BYTES = 1 << 17
 LONG_BYTES = 1 << 16
 LONG_VALUE = b"\x92\xc0\xc6"  # [nil, bin 32]
+# The beginnings of calls whose replies hold a whole session.
+LARGE_REPLIES = tuple(b"\x94" + msgpack.packb(op) for op in ("checkpoint", "snapshot"))
 
 
 class FramingError(Exception):
@@ -35,10 +42,22 @@ def encode_call(op: str, key: str, args: Mapping[str, Any], data: bytes | memory
     return (head + BIN32.pack(0xC6, len(data)), data)
 
 
+def is_large(request: Buffers) -> bool:
+    """Return whether a call, or the reply to it, may have megabytes."""
+    return len(request[-1]) > 2 * PART_BYTES or bytes(request[0]).startswith(LARGE_REPLIES)
+
+
 def decode_call(payload: memoryview) -> tuple[str, str, dict[str, Any], bytes]:
     """Return ``op, key, args, data`` of a call."""
     op, key, args, data = msgpack.unpackb(payload)
     return op, key, args, data
+
+
+def encode_value(value: Any) -> Buffers:
+    """Return the payload of the reply ``[nil, value]``; long bytes are not copied."""
+    if type(value) is bytes and len(value) >= LONG_BYTES:
+        return (LONG_VALUE + struct.pack(">I", len(value)), value)
+    return (encode_reply(None, value),)
 
 
 def encode_reply(code: str | None, value: Any) -> bytes:
@@ -89,34 +108,3 @@ class Splitter:
             at = end
             yield call, payload
         del self._rest[:at]
-
-
-class BlockingWire:
-    """The lane's end of the socket: receives and sends one message at a time, with one buffer that grows."""
-
-    def __init__(self, sock: socket.socket) -> None:
-        sock.setblocking(True)
-        self._sock = sock
-        self._head = bytearray(HEAD.size)
-        self._buffer = bytearray(1 << 18)
-
-    def receive(self) -> tuple[int, memoryview]:
-        """Return ``call, payload``; the payload is valid until the next call. Raises EOFError at the end."""
-        self._fill(memoryview(self._head))
-        length, call = HEAD.unpack(self._head)
-        if length > len(self._buffer):
-            self._buffer = bytearray(length)
-        payload = memoryview(self._buffer)[:length]
-        self._fill(payload)
-        return call, payload
-
-    def send(self, call: int, payload: bytes, took: float = 0.0) -> None:
-        """Send one reply."""
-        self._sock.sendall(HEAD.pack(TOOK.size + len(payload), call) + TOOK.pack(took) + payload)
-
-    def _fill(self, view: memoryview) -> None:
-        while view:
-            got = self._sock.recv_into(view, len(view), socket.MSG_WAITALL)
-            if got == 0:
-                raise EOFError
-            view = view[got:]

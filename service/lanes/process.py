@@ -17,7 +17,7 @@ import msgpack
 from ..protocol.enums import LaneLoss
 from . import worker
 from .fair_queue import FairOwnerQueue
-from .framing import HELLO, NO_REPLY, TOOK, FramingError, Splitter, encode_call, framed
+from .framing import HELLO, NO_REPLY, PART, PART_BYTES, TOOK, FramingError, Splitter, encode_call, framed, is_large
 from .interface import Buffers, LaneLost
 from .limits import LaneLimits
 
@@ -25,18 +25,30 @@ from .limits import LaneLimits
 PIPELINE = 2
 # Behind a long call nothing is sent: which call is next is decided when it is done, and the hand-over costs little in
 # comparison. A call counts as long as the longest recent one of its key, in processor time; the first counts as long.
-SHORT_S, SHORT_BYTES = 0.01, 512 * 1024
+SHORT_S = 0.01
 DECAY = 0.7
+# Large calls of a lane, from their first part to the end of their reply; this bounds what the lane keeps of them.
+LARGE_AT_ONCE = 4
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class PendingCall:
-    """A call that waits for its reply."""
+    """A call that waits for its reply. ``request`` is what is still to be sent; the number is 0 until any of it was."""
 
     owner: str
     key: str
     request: Buffers
     answer: asyncio.Future[bytes | memoryview]
+    number: int = 0
+
+    def take_part(self) -> Buffers | None:
+        """Remove and return the next part to send ahead; None if only the end of the call is left."""
+        *head, data = self.request
+        if len(data) <= PART_BYTES:
+            return None
+        rest = memoryview(data)
+        self.request = (rest[PART_BYTES:],)
+        return (*head, rest[:PART_BYTES])
 
 
 class LaneProcess(asyncio.Protocol):
@@ -62,8 +74,13 @@ class LaneProcess(asyncio.Protocol):
         self._on_used = on_used
         self._queue: FairOwnerQueue[PendingCall] = FairOwnerQueue()
         self._expected: dict[str, float] = {}
-        self._in_flight: deque[tuple[int, PendingCall]] = deque()
-        self._working_since = 0.0
+        self._in_flight: deque[PendingCall] = deque()
+        self._large: FairOwnerQueue[PendingCall] = FairOwnerQueue()
+        self._large_now: set[PendingCall] = set()
+        self._ahead: deque[PendingCall] = deque()  # their requests are being sent, the first one's at present
+        self._arriving: dict[int, tuple[PendingCall, bytearray]] = {}  # done, with the parts of the reply so far
+        self._full = False
+        self._working_since = self._moved = 0.0
         self._cause = LaneLoss.DIED
         self._calls = 0
         self._splitter = Splitter()
@@ -99,21 +116,31 @@ class LaneProcess(asyncio.Protocol):
             answer.set_exception(LaneLost(self._cause))
         else:
             owner = self.keys[key]
-            self._queue.push(owner, key, PendingCall(owner, key, request, answer))
-            self._dispatch()
+            call = PendingCall(owner, key, request, answer)
+            if is_large(request):
+                self._large.push(owner, key, call)
+                self._begin_large()
+            else:
+                self._queue.push(owner, key, call)
+                self._dispatch()
         return answer
 
     def forget(self, key: str) -> None:
         """Have the lane drop its state for ``key``, behind the operation in work."""
         self._expected.pop(key, None)
-        for call in self._queue.forget(self.keys.pop(key), key):
+        owner = self.keys.pop(key)
+        ahead = [call for call in self._ahead if call.key == key]
+        for call in (*self._queue.forget(owner, key), *self._large.forget(owner, key), *ahead):
             _fail(call, LaneLost(LaneLoss.RELEASED))
+            self._take_back(call)
         if self._transport is not None and not self.lost:
             self._transport.writelines(framed(NO_REPLY, encode_call("drop", key, {})))
 
     def overdue_s(self) -> float:
-        """Return the seconds since the operation in work began, 0 if there is none."""
-        return time.monotonic() - self._working_since if self._in_flight else 0.0
+        """Return the seconds since the operation in work began or a part of a large call moved; 0 without any."""
+        if not (self._in_flight or self._ahead or self._arriving):
+            return 0.0
+        return time.monotonic() - max(self._working_since, self._moved)
 
     def kill(self, cause: LaneLoss = LaneLoss.DIED) -> None:
         """End the worker at once. The first ``cause`` is the one that is reported."""
@@ -134,8 +161,17 @@ class LaneProcess(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Keep the socket to write to; the worker will say hello."""
-        # No flow control is needed: PIPELINE bounds what may be in the socket.
         self._transport = cast(asyncio.WriteTransport, transport)
+        self._transport.set_write_buffer_limits(2 * PART_BYTES)
+
+    def pause_writing(self) -> None:
+        """The socket is full: further parts wait. Other calls do not, since PIPELINE bounds them."""
+        self._full = True
+
+    def resume_writing(self) -> None:
+        """The socket takes more."""
+        self._full = False
+        self._send_ahead()
 
     def data_received(self, data: bytes) -> None:
         """Take the replies of the worker."""
@@ -143,6 +179,8 @@ class LaneProcess(asyncio.Protocol):
             for call, payload in self._splitter.feed(data):
                 if call == HELLO:
                     self._hello(payload[TOOK.size :])
+                elif (arriving := self._arriving.get(call & ~PART)) is not None:
+                    self._take_part(call, *arriving, payload)
                 else:
                     (took,) = TOOK.unpack_from(payload)
                     self._reply(call, took, payload[TOOK.size :])
@@ -152,14 +190,15 @@ class LaneProcess(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002
         """Fail every call: the worker has died or was told to stop."""
         self.lost, self.ready = True, False
-        calls = [call for _, call in self._in_flight]
+        calls = list(self._in_flight)
         if calls:
             _fail(calls.pop(0), LaneLost(self._cause, in_work=True))
         for key, owner in self.keys.items():
-            calls += self._queue.forget(owner, key)
-        for call in calls:
+            calls += (*self._queue.forget(owner, key), *self._large.forget(owner, key))
+        for call in (*calls, *self._large_now):
             _fail(call, LaneLost(self._cause))
-        self._in_flight.clear()
+        for some in (self._in_flight, self._large_now, self._ahead, self._arriving):
+            some.clear()
         self._on_lost(self, self._cause)
 
     def _hello(self, payload: bytes | memoryview) -> None:
@@ -170,9 +209,10 @@ class LaneProcess(asyncio.Protocol):
         self._on_ready(self)
 
     def _reply(self, number: int, took: float, payload: bytes | memoryview) -> None:
-        if not self._in_flight or self._in_flight[0][0] != number:
+        """Take the reply of the operation in work, or the first part of it."""
+        if not self._in_flight or self._in_flight[0].number != number & ~PART:
             raise FramingError("a reply is out of order")
-        _, call = self._in_flight.popleft()
+        call = self._in_flight.popleft()
         now = time.monotonic()
         used = now - self._working_since
         self._working_since = now
@@ -180,31 +220,87 @@ class LaneProcess(asyncio.Protocol):
             self._expected[call.key] = max(took, DECAY * self._expected.get(call.key, 0.0))
             self._on_used(call.key, used)
         self._queue.charge(call.owner, call.key, used)
+        self._large.charge(call.owner, call.key, used)
+        if number & PART:
+            self._arriving[call.number] = call, bytearray(payload)
+            self._moved = now
+        else:
+            self._answer(call, payload)
+        self._dispatch()
+
+    def _take_part(self, number: int, call: PendingCall, before: bytearray, payload: bytes | memoryview) -> None:
+        """Take a further part of a reply, or its end."""
+        before += payload
+        self._moved = time.monotonic()
+        if not number & PART:
+            del self._arriving[number]
+            self._answer(call, memoryview(before))
+
+    def _answer(self, call: PendingCall, payload: bytes | memoryview) -> None:
         if not call.answer.done():
             call.answer.set_result(payload)
-        self._dispatch()
+        if call in self._large_now:
+            self._large_now.remove(call)
+            self._begin_large()
+
+    def _begin_large(self) -> None:
+        """Begin to send the large calls whose turn it is."""
+        while len(self._large_now) < LARGE_AT_ONCE and (call := self._large.pop()) is not None:
+            if not call.answer.done():
+                if not self._ahead:
+                    self._moved = time.monotonic()
+                self._large_now.add(call)
+                self._ahead.append(call)
+        self._send_ahead()
+
+    def _send_ahead(self) -> None:
+        """Send parts as far as the socket takes them. What then is left of a call waits for its turn like others."""
+        assert self._transport is not None
+        while self._ahead and not self._full:
+            call = self._ahead[0]
+            if call.answer.done():
+                self._take_back(call)
+            elif (part := call.take_part()) is not None:
+                call.number = call.number or self._next_number()
+                self._transport.writelines(framed(call.number | PART, part))
+                self._moved = time.monotonic()
+            else:
+                self._ahead.popleft()
+                self._queue.push(call.owner, call.key, call)
+                self._dispatch()
+
+    def _take_back(self, call: PendingCall) -> None:
+        """Give up a call that has not been sent whole; nobody waits for its reply any more."""
+        if call in self._ahead:
+            self._ahead.remove(call)
+        if call in self._large_now:
+            self._large_now.remove(call)
+            if call.number and self._transport is not None and not self.lost:
+                self._transport.writelines(framed(call.number | PART, ()))
+            self._begin_large()
+
+    def _next_number(self) -> int:
+        self._calls = self._calls % (PART - 1) + 1
+        return self._calls
 
     def _dispatch(self) -> None:
         assert self._transport is not None
         while self._takes_more() and (call := self._queue.pop()) is not None:
             if call.answer.done():
+                self._take_back(call)
                 continue
             if not self._in_flight:
                 self._working_since = time.monotonic()
-            self._calls = self._calls % 0xFFFFFFFF + 1
-            self._in_flight.append((self._calls, call))
-            self._transport.writelines(framed(self._calls, call.request))
+            call.number = call.number or self._next_number()
+            self._in_flight.append(call)
+            self._transport.writelines(framed(call.number, call.request))
 
     def _takes_more(self) -> bool:
         """Return whether another call may be sent: the lane is idle, or works on a call that will be short."""
         if not self._in_flight:
             return True
-        _, call = self._in_flight[-1]
-        return (
-            len(self._in_flight) < PIPELINE
-            and self._expected.get(call.key, SHORT_S) < SHORT_S
-            and len(call.request[-1]) <= SHORT_BYTES
-        )
+        expected = self._expected.get(self._in_flight[-1].key, SHORT_S)
+        return len(self._in_flight) < PIPELINE and expected < SHORT_S
 
 
 def _fail(call: PendingCall, error: Exception) -> None:
