@@ -41,7 +41,7 @@ class SnapshotSigner:
         mac = _mac(self._secrets[self._first], (_PURPOSE, start, _with_length(owner), body))
         return b"".join((start, mac, body))
 
-    def verify(self, owner: str, data: bytes) -> bytes:
+    def verify(self, owner: str, data: bytes | memoryview) -> memoryview:
         """Return the body of a snapshot of ``owner``. Raises BadSignature."""
         if len(data) < _START.size:
             raise BadSignature("shorter than a snapshot's head")
@@ -56,9 +56,9 @@ class SnapshotSigner:
         good = self._is_good_1 if version == 1 else self._is_good
         if not good(owner, data, memoryview(data)[head.size :]):
             raise BadSignature("the signature does not match")
-        return data[head.size :]
+        return memoryview(data)[head.size :]
 
-    def _is_good(self, owner: str, data: bytes, body: memoryview) -> bool:
+    def _is_good(self, owner: str, data: bytes | memoryview, body: memoryview) -> bool:
         _, _, name, length, mac = _HEAD.unpack_from(data)
         secret = self._secrets.get(name)
         if secret is None or length != len(body):
@@ -66,7 +66,7 @@ class SnapshotSigner:
         start = data[: _HEAD.size - _MAC_BYTES]
         return hmac.compare_digest(mac, _mac(secret, (_PURPOSE, start, _with_length(owner), body)))
 
-    def _is_good_1(self, owner: str, data: bytes, body: memoryview) -> bool:
+    def _is_good_1(self, owner: str, data: bytes | memoryview, body: memoryview) -> bool:
         _, version, mac = _HEAD_1.unpack_from(data)
         name = owner.encode()
         signed = (struct.pack(">HH", version, len(name)), name, body)

@@ -73,13 +73,14 @@ _NEXT_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")
 _NEXT_SEGMENT = re.compile(rb"\xff[^\x00\x01\xff\xd0-\xd7]")
 
 
-def sniff(data: bytes) -> Kind | None:
+def sniff(data: bytes | memoryview) -> Kind | None:
     """Return the format of the image that ``data`` begins with, or None."""
-    if data.startswith(b"\xff\xd8\xff"):
+    head = bytes(data[:12])
+    if head.startswith(b"\xff\xd8\xff"):
         return "jpeg"
-    if data.startswith(_PNG_MAGIC):
+    if head.startswith(_PNG_MAGIC):
         return "png"
-    if data.startswith(b"RIFF") and data[8:12] == b"WEBP":
+    if head.startswith(b"RIFF") and head[8:] == b"WEBP":
         return "webp"
     return None
 

@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 from starlette.requests import ClientDisconnect, Request
 
+from ..landing import Landing
 from ..protocol.documents import Unreadable, from_json, from_msgpack
 from ..protocol.enums import ProblemCode
 from ..protocol.problems import ProblemError
@@ -18,15 +19,23 @@ from ..sessions.byte_budget import Reservation
 from ..settings import Settings
 from .answers import JSON, MSGPACK, content_type, unsupported
 
-LARGE_BYTES = 4 * 1024 * 1024
+# A body that is announced as larger than this is not copied when it is complete.
+LARGE_BYTES = 128 * 1024
 # The key in the state of a scope under which a call's share of the byte budget is, until it is answered.
 HELD = "mfcmt.held"
 
 
 async def read(
     request: Request, limit: int, settings: Settings, code: ProblemCode = ProblemCode.BODY_TOO_LARGE
-) -> bytes:
+) -> bytes | memoryview:
     """Return the whole body. Raises ``code`` above ``limit`` bytes, deadline-exceeded, bad-request."""
+    length = request.headers.get("content-length", "")
+    if length.isdecimal() and LARGE_BYTES < int(length[:20]) <= limit:
+        landing = Landing(int(length))
+        async with in_time(settings):
+            async for part in bounded(request, limit, code):
+                landing.add(part)
+        return landing.taken()
     first, more = b"", bytearray()
     async with in_time(settings):
         async for part in bounded(request, limit, code):
@@ -34,10 +43,7 @@ async def read(
                 first = part
             else:
                 more += part if more else first + part
-    if not more:
-        return first
-    # Copying many megabytes would hold up the event loop.
-    return bytes(more) if len(more) < LARGE_BYTES else await asyncio.to_thread(bytes, more)
+    return memoryview(more) if more else first
 
 
 async def read_document(request: Request, settings: Settings) -> dict[str, Any]:
@@ -51,10 +57,10 @@ async def read_document(request: Request, settings: Settings) -> dict[str, Any]:
     return parse(kind, data)
 
 
-def parse(kind: str, data: bytes) -> dict[str, Any]:
+def parse(kind: str, data: bytes | memoryview) -> dict[str, Any]:
     """Return the map that ``data`` holds as JSON or MessagePack. Raises bad-request."""
     try:
-        document = from_json(data) if kind == JSON else from_msgpack(data)
+        document = from_json(bytes(data)) if kind == JSON else from_msgpack(data)
     except Unreadable as unreadable:
         raise ProblemError(ProblemCode.BAD_REQUEST, str(unreadable)) from unreadable
     if not isinstance(document, dict):

@@ -36,7 +36,7 @@ ENVELOPE_BYTES = 64 * 1024
 class Upload:
     """A frame and the other fields of its body, unchecked."""
 
-    frame: bytes
+    frame: bytes | memoryview
     fields: dict[str, Any]
 
 
@@ -44,7 +44,7 @@ class Upload:
 class NewSession:
     """The body that creates a session."""
 
-    frame: bytes
+    frame: bytes | memoryview
     boxes: list[list[float]]
     options: Options
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Generator
 from typing import Any
 
 import structlog
 from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.frames import CloseCode, Frame
-from websockets.streams import StreamReader
 
 from .. import turns
 from ..observability.sampled import Sampled
@@ -19,40 +17,17 @@ from ..sessions.byte_budget import ByteBudget, Reservation
 from ..sessions.rate_limiter import TokenBucket
 from ..settings import Settings
 from .base import ABORT_EXTENSION, LEAVE_EXTENSION, OVER_CONNECTION_LIMIT, SHARE, TOO_MANY_BYTES
+from .paced_reader import FRAMES_A_TURN, LARGE_BYTES, PacedReader
 
 ABORT_AFTER_S = 5.0
-# Frames of one connection that are parsed between two turns of the event loop, about 20 µs each.
-FRAMES_A_TURN = 32
 # Messages of one connection that the application gets between two turns.
 MESSAGES_A_TURN = 16
-LARGE_READ_BYTES = 128 * 1024
 # A smaller fragment of a message counts as a control frame does: ordinary clients send larger ones.
 SMALL_FRAGMENT_BYTES = 1024
 # The memory of a fragment beside its bytes.
 FRAGMENT_BYTES = 64
 
 log = Sampled(structlog.get_logger("mfcmt.stream"))
-
-
-class PacedReader(StreamReader):
-    """The parser's input. It stops after a number of frames until the next turn."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.behind = False
-        self._left = FRAMES_A_TURN
-
-    def turn(self, frames: int) -> None:
-        """Let the parser read ``frames`` more frames."""
-        self._left, self.behind = frames, False
-
-    def at_eof(self) -> Generator[None, None, bool]:
-        """Wait here when the turn's frames are used up; the parser asks before each frame."""
-        while self._left <= 0 and self.buffer:
-            self.behind = True
-            yield
-        self._left -= 1
-        return (yield from super().at_eof())
 
 
 class FrameProtocol(WebSocketsSansIOProtocol):
@@ -76,7 +51,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         """Release the bytes."""
         super().connection_lost(exc)
         self._unread_bytes = 0
-        self._reader.buffer.clear()
+        self._reader.clear()
         self.frames = []
         self._share.resize(0 if self._served else self._queued_bytes)  # until the application has taken them
 
@@ -88,11 +63,11 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         if self.transport.is_closing():
             return
         # A large message is read in parts, too: the kernel would hand over megabytes in one turn.
-        if self._reader.behind or len(data) > LARGE_READ_BYTES:
+        if self._reader.behind or len(data) > LARGE_BYTES:
             self._pause_reading()
             if self.queue.empty() or self.close_sent:
                 self._go_on_later()
-        if self._begun_at == 0.0 and (self._reader.buffer or self.frames):
+        if self._begun_at == 0.0 and (self._reader.held or self.frames):
             self._begun_at = self.loop.time()
         self._count_bytes()
 
@@ -124,13 +99,13 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         data = parts[0] if len(parts) == 1 else b"".join(parts)
         if self.curr_msg_data_type == "text":
             try:
-                self.queue.put_nowait({"type": "websocket.receive", "text": data.decode()})
+                self.queue.put_nowait({"type": "websocket.receive", "text": str(data, "utf-8")})
             except UnicodeDecodeError:
                 self.conn.send_close(CloseCode.INVALID_DATA)
                 self.handle_parser_exception()
                 return
         else:
-            self.queue.put_nowait({"type": "websocket.receive", "bytes": bytes(data)})
+            self.queue.put_nowait({"type": "websocket.receive", "bytes": data})
         self._queued_bytes += len(data)
         self._pause_reading()
 
@@ -231,10 +206,10 @@ class FrameProtocol(WebSocketsSansIOProtocol):
     def _count_bytes(self) -> None:
         """Count the bytes that this connection holds; close it if the budget is used up."""
         begun = (self.conn.current_size or 0) + FRAGMENT_BYTES * len(self.frames)
-        held = len(self._reader.buffer) + begun + self._queued_bytes + self._unread_bytes
+        held = self._reader.held + begun + self._queued_bytes + self._unread_bytes
         if not self._share.resize(held) and not self.transport.is_closing():
             log.info("stream cut", code="at-capacity", detail=TOO_MANY_BYTES)
-            self._reader.buffer.clear()
+            self._reader.clear()
             self.frames = []
             self.conn.fail(CloseCode.TRY_AGAIN_LATER, "at-capacity")
             self.transport.write(b"".join(self.conn.data_to_send()))

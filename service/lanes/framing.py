@@ -5,8 +5,8 @@ data]``. The payload of a reply is ``took: f32``, the processor time of the oper
 with a problem code or nil. Call 0 gets no reply.
 
 A large payload comes in parts, so that others need not wait for it: messages whose call has the bit ``PART`` set, with
-other messages between them, and at last the end of the payload as an ordinary message. An empty part takes back the
-parts before it.
+other messages between them, and at last the end of the payload as an ordinary message. The first part begins with the
+length of the whole payload, ``u32``. An empty part takes back the parts before it.
 """
 
 from __future__ import annotations
@@ -17,11 +17,13 @@ from typing import Any
 
 import msgpack
 
+from ..landing import Landing
 from .interface import Buffers
 
 HEAD = struct.Struct(">II")
 TOOK = struct.Struct(">f")
 BIN32 = struct.Struct(">BI")
+SIZE = struct.Struct(">I")
 MAX_MESSAGE_BYTES = 1 << 30
 HELLO, NO_REPLY = 0, 0
 PART = 1 << 31
@@ -56,7 +58,7 @@ def decode_call(payload: memoryview) -> tuple[str, str, dict[str, Any], bytes]:
 def encode_value(value: Any) -> Buffers:
     """Return the payload of the reply ``[nil, value]``; long bytes are not copied."""
     if type(value) is bytes and len(value) >= LONG_BYTES:
-        return (LONG_VALUE + struct.pack(">I", len(value)), value)
+        return (LONG_VALUE + SIZE.pack(len(value)), value)
     return (encode_reply(None, value),)
 
 
@@ -75,6 +77,16 @@ def decode_reply(payload: bytes | memoryview) -> tuple[str | None, Any]:
     except ValueError as broken:
         raise FramingError("a lane's reply cannot be read") from broken
     return code, value
+
+
+def begin_parts(part: bytes | memoryview) -> Landing:
+    """Return the memory for the payload that this part begins, with the part in it. Raises ValueError, struct.error."""
+    (size,) = SIZE.unpack_from(part)
+    if not 0 < size <= MAX_MESSAGE_BYTES:
+        raise FramingError(f"a payload of {size} bytes")
+    landing = Landing(size)
+    landing.add(memoryview(part)[SIZE.size :])
+    return landing
 
 
 def framed(call: int, payload: Buffers) -> list[bytes | memoryview]:

@@ -6,7 +6,7 @@ import asyncio
 import socket
 import struct
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.context import ForkServerContext, ForkServerProcess
@@ -14,10 +14,24 @@ from typing import cast
 
 import msgpack
 
+from ..landing import Landing
 from ..protocol.enums import LaneLoss
 from . import worker
 from .fair_queue import FairOwnerQueue
-from .framing import HELLO, NO_REPLY, PART, PART_BYTES, TOOK, FramingError, Splitter, encode_call, framed, is_large
+from .framing import (
+    HELLO,
+    NO_REPLY,
+    PART,
+    PART_BYTES,
+    SIZE,
+    TOOK,
+    FramingError,
+    Splitter,
+    begin_parts,
+    encode_call,
+    framed,
+    is_large,
+)
 from .interface import Buffers, LaneLost
 from .limits import LaneLimits
 
@@ -27,8 +41,9 @@ PIPELINE = 2
 # comparison. A call counts as long as the longest recent one of its key, in processor time; the first counts as long.
 SHORT_S = 0.01
 DECAY = 0.7
-# Large calls of a lane, from their first part to the end of their reply; this bounds what the lane keeps of them.
-LARGE_AT_ONCE = 4
+# Large calls of an owner in a lane, from their first part to the end of their reply: this bounds what the lane keeps of
+# them, and their part of the socket.
+LARGE_OF_OWNER = 2
 
 
 @dataclass(slots=True, eq=False)
@@ -40,15 +55,17 @@ class PendingCall:
     request: Buffers
     answer: asyncio.Future[bytes | memoryview]
     number: int = 0
+    large: bool = False
 
     def take_part(self) -> Buffers | None:
         """Remove and return the next part to send ahead; None if only the end of the call is left."""
         *head, data = self.request
         if len(data) <= PART_BYTES:
             return None
+        size = [] if self.number else [SIZE.pack(sum(map(len, self.request)))]
         rest = memoryview(data)
         self.request = (rest[PART_BYTES:],)
-        return (*head, rest[:PART_BYTES])
+        return (*size, *head, rest[:PART_BYTES])
 
 
 class LaneProcess(asyncio.Protocol):
@@ -75,10 +92,10 @@ class LaneProcess(asyncio.Protocol):
         self._queue: FairOwnerQueue[PendingCall] = FairOwnerQueue()
         self._expected: dict[str, float] = {}
         self._in_flight: deque[PendingCall] = deque()
-        self._large: FairOwnerQueue[PendingCall] = FairOwnerQueue()
-        self._large_now: set[PendingCall] = set()
-        self._ahead: deque[PendingCall] = deque()  # their requests are being sent, the first one's at present
-        self._arriving: dict[int, tuple[PendingCall, bytearray]] = {}  # done, with the parts of the reply so far
+        self._large: deque[PendingCall] = deque()  # they wait until their owner has fewer
+        self._large_now: Counter[str] = Counter()  # their number by owner
+        self._ahead: deque[PendingCall] = deque()  # their requests are being sent, a part of each in turn
+        self._arriving: dict[int, tuple[PendingCall, Landing]] = {}  # done, with the parts of the reply so far
         self._full = False
         self._working_since = self._moved = 0.0
         self._cause = LaneLoss.DIED
@@ -116,10 +133,10 @@ class LaneProcess(asyncio.Protocol):
             answer.set_exception(LaneLost(self._cause))
         else:
             owner = self.keys[key]
-            call = PendingCall(owner, key, request, answer)
-            if is_large(request):
-                self._large.push(owner, key, call)
-                self._begin_large()
+            call = PendingCall(owner, key, request, answer, large=is_large(request))
+            if call.large:
+                self._large.append(call)
+                self._begin_large(owner)
             else:
                 self._queue.push(owner, key, call)
                 self._dispatch()
@@ -129,8 +146,8 @@ class LaneProcess(asyncio.Protocol):
         """Have the lane drop its state for ``key``, behind the operation in work."""
         self._expected.pop(key, None)
         owner = self.keys.pop(key)
-        ahead = [call for call in self._ahead if call.key == key]
-        for call in (*self._queue.forget(owner, key), *self._large.forget(owner, key), *ahead):
+        large = [call for call in (*self._large, *self._ahead) if call.key == key]
+        for call in (*self._queue.forget(owner, key), *large):
             _fail(call, LaneLost(LaneLoss.RELEASED))
             self._take_back(call)
         if self._transport is not None and not self.lost:
@@ -194,10 +211,11 @@ class LaneProcess(asyncio.Protocol):
         if calls:
             _fail(calls.pop(0), LaneLost(self._cause, in_work=True))
         for key, owner in self.keys.items():
-            calls += (*self._queue.forget(owner, key), *self._large.forget(owner, key))
-        for call in (*calls, *self._large_now):
+            calls += self._queue.forget(owner, key)
+        arriving = [call for call, _ in self._arriving.values()]
+        for call in (*calls, *self._large, *self._ahead, *arriving):
             _fail(call, LaneLost(self._cause))
-        for some in (self._in_flight, self._large_now, self._ahead, self._arriving):
+        for some in (self._in_flight, self._large, self._large_now, self._ahead, self._arriving):
             some.clear()
         self._on_lost(self, self._cause)
 
@@ -220,38 +238,41 @@ class LaneProcess(asyncio.Protocol):
             self._expected[call.key] = max(took, DECAY * self._expected.get(call.key, 0.0))
             self._on_used(call.key, used)
         self._queue.charge(call.owner, call.key, used)
-        self._large.charge(call.owner, call.key, used)
         if number & PART:
-            self._arriving[call.number] = call, bytearray(payload)
+            self._arriving[call.number] = call, begin_parts(payload)
             self._moved = now
         else:
             self._answer(call, payload)
         self._dispatch()
 
-    def _take_part(self, number: int, call: PendingCall, before: bytearray, payload: bytes | memoryview) -> None:
+    def _take_part(self, number: int, call: PendingCall, landing: Landing, payload: bytes | memoryview) -> None:
         """Take a further part of a reply, or its end."""
-        before += payload
+        landing.add(payload)
         self._moved = time.monotonic()
         if not number & PART:
             del self._arriving[number]
-            self._answer(call, memoryview(before))
+            self._answer(call, landing.taken())
 
     def _answer(self, call: PendingCall, payload: bytes | memoryview) -> None:
         if not call.answer.done():
             call.answer.set_result(payload)
-        if call in self._large_now:
-            self._large_now.remove(call)
-            self._begin_large()
+        self._end_large(call)
 
-    def _begin_large(self) -> None:
-        """Begin to send the large calls whose turn it is."""
-        while len(self._large_now) < LARGE_AT_ONCE and (call := self._large.pop()) is not None:
-            if not call.answer.done():
-                if not self._ahead:
-                    self._moved = time.monotonic()
-                self._large_now.add(call)
-                self._ahead.append(call)
+    def _begin_large(self, owner: str) -> None:
+        """Begin to send the large calls of an owner whose turn it is."""
+        waiting = [call for call in self._large if call.owner == owner]
+        for call in waiting[: LARGE_OF_OWNER - self._large_now[owner]]:
+            self._large.remove(call)
+            self._large_now[owner] += 1
+            if not self._ahead:
+                self._moved = time.monotonic()
+            self._ahead.append(call)
         self._send_ahead()
+
+    def _end_large(self, call: PendingCall) -> None:
+        if call.large:
+            self._large_now -= Counter((call.owner,))
+            self._begin_large(call.owner)
 
     def _send_ahead(self) -> None:
         """Send parts as far as the socket takes them. What then is left of a call waits for its turn like others."""
@@ -264,6 +285,7 @@ class LaneProcess(asyncio.Protocol):
                 call.number = call.number or self._next_number()
                 self._transport.writelines(framed(call.number | PART, part))
                 self._moved = time.monotonic()
+                self._ahead.rotate(-1)
             else:
                 self._ahead.popleft()
                 self._queue.push(call.owner, call.key, call)
@@ -271,13 +293,14 @@ class LaneProcess(asyncio.Protocol):
 
     def _take_back(self, call: PendingCall) -> None:
         """Give up a call that has not been sent whole; nobody waits for its reply any more."""
+        if call in self._large:
+            self._large.remove(call)
+            return
         if call in self._ahead:
             self._ahead.remove(call)
-        if call in self._large_now:
-            self._large_now.remove(call)
-            if call.number and self._transport is not None and not self.lost:
-                self._transport.writelines(framed(call.number | PART, ()))
-            self._begin_large()
+        if call.number and self._transport is not None and not self.lost:
+            self._transport.writelines(framed(call.number | PART, ()))
+        self._end_large(call)
 
     def _next_number(self) -> int:
         self._calls = self._calls % (PART - 1) + 1

@@ -6,7 +6,8 @@ import select
 import socket
 from collections import deque
 
-from .framing import HEAD, PART, PART_BYTES, TOOK
+from ..landing import Landing
+from .framing import HEAD, PART, PART_BYTES, SIZE, TOOK, begin_parts
 from .interface import Buffers
 
 
@@ -21,7 +22,7 @@ class LaneWire:
         self._buffer = bytearray(1 << 18)
         self._length: int | None = None  # of the message that is being received, once its head is known
         self._got = self._call = 0
-        self._parts: dict[int, bytearray] = {}
+        self._parts: dict[int, Landing] = {}
         self._unsent: deque[memoryview] = deque()  # messages that were begun or are small, in their order
         self._large: deque[tuple[int, memoryview]] = deque()  # the numbers and rests of large replies
 
@@ -40,7 +41,8 @@ class LaneWire:
         *heads, last = (TOOK.pack(took), *payload)
         rest = memoryview(last)
         if len(rest) > 2 * PART_BYTES:
-            self._put(call | PART, (*heads, rest[:PART_BYTES]))
+            size = SIZE.pack(sum(map(len, payload)))
+            self._put(call | PART, (heads[0], size, *heads[1:], rest[:PART_BYTES]))
             self._large.append((call, rest[PART_BYTES:]))
         else:
             self._put(call, (*heads, rest))
@@ -62,17 +64,19 @@ class LaneWire:
             if not self._call & PART:
                 return self._joined(payload)
             number = self._call ^ PART
-            if payload:
-                self._parts.setdefault(number, bytearray()).extend(payload)
-            else:
+            if not payload:
                 self._parts.pop(number, None)
+            elif number in self._parts:
+                self._parts[number].add(payload)
+            else:
+                self._parts[number] = begin_parts(payload)
 
     def _joined(self, end: memoryview) -> memoryview:
         """Return ``end`` with the parts before it, which is the whole payload."""
-        if (whole := self._parts.pop(self._call, None)) is None:
+        if (landing := self._parts.pop(self._call, None)) is None:
             return end
-        whole += end
-        return memoryview(whole)
+        landing.add(end)
+        return landing.taken()
 
     def _fill(self, view: memoryview) -> bool:
         """Receive what belongs into ``view``. Return False if some is missing; the next call goes on there."""
@@ -106,12 +110,12 @@ class LaneWire:
                 self._unsent[0] = self._unsent[0][sent:]
 
     def _take_part(self) -> bool:
-        """Begin the next part of the large reply that is first. Return False if there is none."""
+        """Begin the next part of a large reply, one after the other. Return False if there is none."""
         if not self._large:
             return False
         call, rest = self._large.popleft()
         if len(rest) > PART_BYTES:
-            self._large.appendleft((call, rest[PART_BYTES:]))
+            self._large.append((call, rest[PART_BYTES:]))
             self._put(call | PART, (rest[:PART_BYTES],))
         else:
             self._put(call, (rest,))

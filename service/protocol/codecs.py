@@ -28,7 +28,7 @@ class ReceivedFrame:
     With a ``problem`` it is refused, but was a frame and takes its number.
     """
 
-    data: bytes
+    data: bytes | memoryview
     meta: Meta = NO_META
     problem: ProblemError | None = None
 
@@ -36,7 +36,7 @@ class ReceivedFrame:
 class Reader(Protocol):
     """Reads a client's messages; it may keep state from one message to the next."""
 
-    def __call__(self, text: str | None, data: bytes | None) -> ReceivedFrame | Control | None:
+    def __call__(self, text: str | None, data: bytes | memoryview | None) -> ReceivedFrame | Control | None:
         """Return the message of a text or binary one; None if it only announces the next.
 
         Raises
@@ -55,7 +55,7 @@ class JsonReader:
         self._max_text = max_text_bytes
         self._meta = NO_META
 
-    def __call__(self, text: str | None, data: bytes | None) -> ReceivedFrame | Control | None:
+    def __call__(self, text: str | None, data: bytes | memoryview | None) -> ReceivedFrame | Control | None:
         """See :class:`Reader`."""
         if data is not None:
             meta, self._meta = self._meta, NO_META
@@ -83,11 +83,11 @@ class MsgpackReader:
     def __init__(self, max_text_bytes: int) -> None:
         pass  # there is no text
 
-    def __call__(self, text: str | None, data: bytes | None) -> ReceivedFrame | Control | None:  # noqa: ARG002
+    def __call__(self, text: str | None, data: bytes | memoryview | None) -> ReceivedFrame | Control | None:  # noqa: ARG002
         """See :class:`Reader`."""
         if data is None:
             raise Unreadable("text in mfcmt.v1.msgpack; send binary messages, or ask for mfcmt.v1.json")
-        if data[:3] in IMAGES:
+        if bytes(data[:3]) in IMAGES:
             raise Unreadable('a bare image in mfcmt.v1.msgpack; a frame is {"type": "frame", "frame": bytes}')
         sent = _map(from_msgpack(data))
         try:

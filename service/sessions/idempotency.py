@@ -30,7 +30,7 @@ class IdempotentCreations:
         self._known: TTLCache[_Creation] = TTLCache(limit, ttl_s, clock)
 
     async def once(
-        self, owner: str, key: str | None, data: bytes, rest: str, make: Callable[[], Awaitable[str]]
+        self, owner: str, key: str | None, data: bytes | memoryview, rest: str, make: Callable[[], Awaitable[str]]
     ) -> str:
         """Return what ``make`` makes, now or when the owner's ``key`` came first.
 
@@ -56,7 +56,9 @@ class IdempotentCreations:
         future.set_result(made)
         return made
 
-    async def repeated(self, owner: str, key: str | None, data: bytes, rest: str) -> asyncio.Future[str] | None:
+    async def repeated(
+        self, owner: str, key: str | None, data: bytes | memoryview, rest: str
+    ) -> asyncio.Future[str] | None:
         """Return the future of an earlier call with the same key and content, or None if this is the first.
 
         With it a repeated call need not keep its body while it waits. Raises bad-request like :meth:`once`.
@@ -79,7 +81,7 @@ class IdempotentCreations:
         return known.session
 
 
-def _fingerprint(data: bytes, rest: str) -> bytes:
+def _fingerprint(data: bytes | memoryview, rest: str) -> bytes:
     digest = hashlib.sha256(rest.encode())
     digest.update(data)
     return digest.digest()

@@ -12,7 +12,7 @@ from ..keys import Identity
 class QueuedFrame:
     """A frame on its way to the lane. ``arrived`` and ``queued`` are seconds of the monotonic clock."""
 
-    data: bytes
+    data: bytes | memoryview
     seq: int
     ts: float | str | None
     region: list[int] | None

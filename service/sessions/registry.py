@@ -106,7 +106,7 @@ class SessionRegistry:
         return page, page[-1].ordinal if len(mine) > limit else None
 
     async def create(
-        self, owner: str, data: bytes, boxes: list[list[float]], options: Options, key: str | None
+        self, owner: str, data: bytes | memoryview, boxes: list[list[float]], options: Options, key: str | None
     ) -> Session:
         """Return a session that has started on its first frame; for the same ``key`` and content, the same one."""
 
@@ -120,7 +120,7 @@ class SessionRegistry:
         return self.find(owner, await self._creations.once(owner, key, data, repr((boxes, options)), make))
 
     async def repeated(
-        self, owner: str, data: bytes, boxes: list[list[float]], options: Options, key: str | None
+        self, owner: str, data: bytes | memoryview, boxes: list[list[float]], options: Options, key: str | None
     ) -> asyncio.Future[str] | None:
         """Return the future of the session that :meth:`create` makes or made for this key; None for the first call.
 
@@ -128,7 +128,7 @@ class SessionRegistry:
         """
         return await self._creations.repeated(owner, key, data, repr((boxes, options)))
 
-    async def restore(self, owner: str, snapshot: bytes, key: str | None) -> Session:
+    async def restore(self, owner: str, snapshot: bytes | memoryview, key: str | None) -> Session:
         """Return a session with a new id that goes on from a snapshot; for the same ``key``, the same one."""
 
         async def make() -> str:

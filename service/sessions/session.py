@@ -108,7 +108,7 @@ class Session:
         self.last_number = seq
         return seq
 
-    async def start(self, data: bytes, boxes: list[list[float]]) -> None:
+    async def start(self, data: bytes | memoryview, boxes: list[list[float]]) -> None:
         """Start a target on every box of the first frame."""
         async with self._turn:
             args = {"options": asdict(self.options), "boxes": boxes}
@@ -116,7 +116,7 @@ class Session:
             self.trajectory.append(TrajectoryEntry(0, None, self.size, self.region, self.rows))
             self._on_saveable(self)
 
-    async def restore(self, data: bytes) -> Options:
+    async def restore(self, data: bytes | memoryview) -> Options:
         """Start from the bytes that :meth:`snapshot` returned, and return the options of that session."""
         async with self._turn:
             state = await self._call("restore", {}, data, changes=True)
@@ -253,7 +253,9 @@ class Session:
         await self._in_lane(self.lane.checkpoint(reason))
         self._on_saveable(self)
 
-    async def _call(self, op: str, args: Mapping[str, Any], data: bytes = b"", *, changes: bool = False) -> Any:
+    async def _call(
+        self, op: str, args: Mapping[str, Any], data: bytes | memoryview = b"", *, changes: bool = False
+    ) -> Any:
         """Do an operation in the session's lane and return its value. Raises ProblemError."""
         if self.ended:
             raise session_gone(self.ended)

@@ -13,7 +13,7 @@ import pytest
 
 from service.lanes.framing import NO_REPLY, decode_call, decode_reply, encode_call, encode_value
 from service.lanes.interface import LaneLost
-from service.lanes.process import LARGE_AT_ONCE, LaneProcess
+from service.lanes.process import LARGE_OF_OWNER, LaneProcess
 from service.lanes.wire import LaneWire
 from service.protocol.enums import LaneLoss
 
@@ -108,24 +108,38 @@ async def test_every_size_arrives_whole_in_both_directions(size: int) -> None:
             assert await value(lane.call("big", encode_call("checkpoint", "big", {}))) == worker.state
 
 
-async def test_only_a_few_large_calls_are_with_the_lane_at_once() -> None:
+async def test_only_a_few_large_calls_of_an_owner_are_with_the_lane_at_once() -> None:
     async with lane_and_worker() as (lane, worker):
         worker.reads.clear()
         await value(track(lane, "small", 1))  # was awaited when the worker stopped
-        calls = [track(lane, "big", MIB) for _ in range(LARGE_AT_ONCE + 3)]
+        calls = [track(lane, "big", MIB) for _ in range(LARGE_OF_OWNER + 3)]
+        calls.append(track(lane, "small", MIB))
         await asyncio.sleep(0.1)
-        assert len(lane._large_now) == LARGE_AT_ONCE
+        assert lane._large_now == {"one": LARGE_OF_OWNER, "another": 1}
         worker.reads.set()
         assert [await value(call) for call in calls] == [MIB] * len(calls)
         assert not lane._large_now
         assert lane.overdue_s() == 0.0
 
 
+async def test_a_large_reply_of_another_owner_passes_larger_ones() -> None:
+    async with lane_and_worker() as (lane, worker):
+        worker.state = bytes(32 * MIB)
+        larger = [lane.call("big", encode_call("checkpoint", "big", {})) for _ in range(LARGE_OF_OWNER + 1)]
+        while len(lane._arriving) < LARGE_OF_OWNER:
+            await asyncio.sleep(0)
+        worker.state = bytes(MIB)
+        assert await value(lane.call("small", encode_call("checkpoint", "small", {}))) == worker.state
+        assert not any(call.done() for call in larger)
+        assert len(await value(larger[0])) == 32 * MIB
+        assert len(await value(larger[2])) == MIB
+
+
 async def test_a_large_call_of_a_released_key_is_taken_back() -> None:
     async with lane_and_worker() as (lane, worker):
         worker.reads.clear()
         await value(track(lane, "small", 1))
-        gone = [track(lane, "big", 8 * MIB) for _ in range(LARGE_AT_ONCE + 1)]
+        gone = [track(lane, "big", 8 * MIB) for _ in range(LARGE_OF_OWNER + 1)]
         stays = track(lane, "also big", 2 * MIB)
         await asyncio.sleep(0.1)
         lane.forget("big")

@@ -1,0 +1,82 @@
+"""The input of the WebSocket parser: a bounded number of frames in each turn, and no copies of large messages."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import Any
+
+from websockets import frames
+from websockets.streams import StreamReader
+
+from ..landing import Landing
+
+# Frames of one connection that are parsed between two turns of the event loop, about 20 µs each.
+FRAMES_A_TURN = 32
+# A payload above this is unmasked piece by piece, as it arrives.
+LARGE_BYTES = 128 * 1024
+MASK_BYTES = 4
+
+_parser: Any = frames
+_apply_mask = _parser.apply_mask
+
+
+def _unless_unmasked(data: Any, mask: bytes) -> Any:
+    return data if type(data) is memoryview else _apply_mask(data, mask)
+
+
+# The parser has no other way to take a payload as it is.
+_parser.apply_mask = _unless_unmasked
+
+
+class PacedReader(StreamReader):
+    """Stops after a number of frames until the next turn. A large payload is a memoryview, and unmasked already."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.behind = False
+        self._left = FRAMES_A_TURN
+        self._mask: bytes | bytearray = b""
+        self._landing: Landing | None = None
+
+    @property
+    def held(self) -> int:
+        """The bytes that were read and are not parsed."""
+        return len(self.buffer) + (0 if self._landing is None else self._landing.filled)
+
+    def turn(self, frames: int) -> None:
+        """Let the parser read ``frames`` more frames."""
+        self._left, self.behind = frames, False
+
+    def clear(self) -> None:
+        """Drop what was read, because the connection ends."""
+        self.buffer.clear()
+        self._landing = None
+
+    def at_eof(self) -> Generator[None, None, bool]:
+        """Wait here when the turn's frames are used up; the parser asks before each frame."""
+        while self._left <= 0 and self.buffer:
+            self.behind = True
+            yield
+        self._left -= 1
+        return (yield from super().at_eof())
+
+    def read_exact(self, n: int) -> Generator[None, None, Any]:
+        """Return ``n`` bytes. Of a frame, the parser reads the mask right before the payload."""
+        if n <= LARGE_BYTES:
+            data = yield from super().read_exact(n)
+            if n == MASK_BYTES:
+                self._mask = data
+            return data
+        mask, self._landing = self._mask, Landing(n)
+        while (landing := self._landing) is not None and (missing := n - landing.filled):
+            size = len(self.buffer)
+            size = missing if size >= missing else size - size % MASK_BYTES
+            if size:
+                landing.add(_apply_mask(self.buffer[:size], mask))
+                del self.buffer[:size]
+            elif self.eof:
+                raise EOFError(f"stream ends after {landing.filled} bytes, expected {n} bytes")
+            else:
+                yield
+        self._landing = None
+        return memoryview(b"") if landing is None else landing.taken()
