@@ -13,14 +13,14 @@ class Landing:
     """Takes the pieces of ``size`` bytes (at least 1). Memory is used as it is filled, and returned to the system."""
 
     def __init__(self, size: int) -> None:
-        self.filled = 0
+        self.size, self.filled = size, 0
         self._memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
 
     def add(self, piece: bytes | bytearray | memoryview) -> None:
         """Add the next piece. Raises ValueError if there is no room for it."""
         end = self.filled + len(piece)
-        if end > len(self._memory):
-            raise ValueError(f"more than {len(self._memory)} bytes")
+        if end > self.size:
+            raise ValueError(f"more than {self.size} bytes")
         self._memory[self.filled : end] = piece
         self.filled = end
 

@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 from starlette.requests import ClientDisconnect, Request
 
+from ..connections import SHARE
 from ..landing import Landing
 from ..protocol.documents import Unreadable, from_json, from_msgpack
 from ..protocol.enums import ProblemCode
@@ -29,9 +30,8 @@ async def read(
     request: Request, limit: int, settings: Settings, code: ProblemCode = ProblemCode.BODY_TOO_LARGE
 ) -> bytes | memoryview:
     """Return the whole body. Raises ``code`` above ``limit`` bytes, deadline-exceeded, bad-request."""
-    length = request.headers.get("content-length", "")
-    if length.isdecimal() and LARGE_BYTES < int(length[:20]) <= limit:
-        landing = Landing(int(length))
+    if LARGE_BYTES < (announced := announced_bytes(request)) <= limit:
+        landing = Landing(announced)
         async with in_time(settings):
             async for part in bounded(request, limit, code):
                 landing.add(part)
@@ -78,6 +78,12 @@ def validated(kind: type[T], document: Any) -> T:
         raise ProblemError(ProblemCode.BAD_REQUEST, f"{place}: {first['msg']}") from None
 
 
+def announced_bytes(request: Request) -> int:
+    """Return the length of the body as its head says it, 0 if it does not."""
+    length = request.headers.get("content-length", "")
+    return int(length[:20]) if length.isdecimal() else 0
+
+
 @contextlib.asynccontextmanager
 async def in_time(settings: Settings) -> AsyncIterator[None]:
     """Limit the time in which a body is read. Raises deadline-exceeded, and bad-request if the client goes."""
@@ -91,16 +97,22 @@ async def in_time(settings: Settings) -> AsyncIterator[None]:
 
 
 async def bounded(request: Request, limit: int, code: ProblemCode) -> AsyncGenerator[bytes, None]:
-    """Yield the parts of the body as they arrive. Raises ``code`` above ``limit`` bytes, at-capacity."""
+    """Yield the parts of the body as they arrive. Raises ``code`` above ``limit`` bytes, at-capacity.
+
+    An announced length is held from the beginning: of two bodies for which there is not room enough, the first is read.
+    """
     too_large = ProblemError(code, f"at most {limit} bytes")
-    length = request.headers.get("content-length", "0")
-    if length.isdecimal() and int(length[:20]) > limit:
+    announced = announced_bytes(request)
+    if announced > limit:
         raise too_large
     share: Reservation = request.scope["state"][HELD]
+    share.grow(announced)
+    if (connection := request.scope["state"].get(SHARE)) is not None:
+        connection.elsewhere = announced
     read_bytes = 0
     async for part in request.stream():
-        share.grow(len(part))
         read_bytes += len(part)
+        share.grow(max(0, min(len(part), read_bytes - announced)))
         if read_bytes > limit:
             raise too_large
         if part:

@@ -1,9 +1,11 @@
-"""Names in a scope, and a timer, for both kinds of connections."""
+"""Names in a scope, a timer and a slow farewell, for both kinds of connections."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+
+from .. import turns
 
 ABORT_EXTENSION = "mfcmt.abort"
 # A function that sends what was written, reads no more, and closes.
@@ -15,6 +17,8 @@ SHARE = "mfcmt.share"
 TOO_MANY_BYTES = "too many bytes under way; try again in a moment"
 # Above this many times max_connections, connections are cut without an answer.
 CUT_ABOVE = 2
+# A refused client may send for as long before the connection is cut.
+LINGER_S = 5.0
 
 
 class Timer:
@@ -39,3 +43,40 @@ class Timer:
         if self._handle is not None:
             self._handle.cancel()
             self._handle = None
+
+
+class Lingering(asyncio.Protocol):
+    """Ends a connection in place of the protocol ``before``: what was written is sent, what still comes is discarded.
+
+    If the connection were closed while the client sends, a reset would overtake the answer, and the client would not
+    learn why.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, transport: asyncio.Transport, before: asyncio.Protocol) -> None:
+        self._loop, self._transport, self._before = loop, transport, before
+        self._gone = False
+        self._cut = loop.call_later(LINGER_S, transport.abort)
+        transport.set_protocol(self)
+        transport.write_eof()
+        transport.resume_reading()
+
+    def data_received(self, data: bytes) -> None:  # noqa: ARG002
+        """Discard, and read no more in this turn."""
+        self._transport.pause_reading()
+        turns.later(self._loop, self._go_on)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Let the protocol before clean up."""
+        self._gone = True
+        self._cut.cancel()
+        self._before.connection_lost(exc)
+
+    def pause_writing(self) -> None:
+        """The client reads slowly; it has until the cut."""
+
+    def resume_writing(self) -> None:
+        """The client has read everything."""
+
+    def _go_on(self) -> None:
+        if not self._gone and not self._transport.is_closing():
+            self._transport.resume_reading()

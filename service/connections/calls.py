@@ -17,7 +17,7 @@ from ..protocol.enums import ProblemCode
 from ..protocol.problems import CATALOGUE, MEDIA_TYPE, ProblemError
 from ..sessions.byte_budget import ANONYMOUS, ByteBudget, Reservation
 from ..settings import Settings
-from .base import CUT_ABOVE, OVER_CONNECTION_LIMIT, SHARE, TOO_MANY_BYTES, Timer
+from .base import CUT_ABOVE, OVER_CONNECTION_LIMIT, SHARE, TOO_MANY_BYTES, Lingering, Timer
 
 # Bytes that the parser gets at a time where they may hold many pieces: two hundred chunks or fifty calls.
 SLICE_BYTES = 1024
@@ -99,7 +99,7 @@ class CallProtocol(HttpToolsProtocol):
         """Begin a head. The scope says whether there are too many connections."""
         super().on_message_begin()
         self._in_head, self._head_bytes, self._unparsed, self._body_left = True, 0, 0, 0
-        self._empty_lines = self._list_bytes = 0
+        self._empty_lines = self._list_bytes = self._share.elsewhere = 0
         self._expect_head()
         self._share.assign(ANONYMOUS)
         self.scope["state"][SHARE] = self._share
@@ -250,15 +250,36 @@ class CallProtocol(HttpToolsProtocol):
         if not self._share.resize(held if held > SMALL_BYTES else 0) and not self.transport.is_closing():
             log.info("call refused", code=ProblemCode.AT_CAPACITY.value, detail=TOO_MANY_BYTES)
             self._rest = b""
-            if self._unread_bytes or (self.cycle is not None and self.cycle.response_started):
+            if self._unread_bytes or (self._in_work and self._in_work.response_started):
                 self.transport.abort()
             else:
-                self._refuse(ProblemError(ProblemCode.AT_CAPACITY, TOO_MANY_BYTES, retry_after_s=1.0))
+                if self._in_work or self._in_head:
+                    self._write_refusal(ProblemError(ProblemCode.AT_CAPACITY, TOO_MANY_BYTES, retry_after_s=1.0))
+                self._linger()
+
+    @property
+    def _in_work(self) -> RequestResponseCycle | None:
+        """The call that is not answered whole yet, if there is one."""
+        return None if self.cycle is None or self.cycle.response_complete else self.cycle
+
+    def _linger(self) -> None:
+        """End the connection once the client has seen the answer."""
+        self._gone = True
+        self._share.resize(0)
+        self._head_timer.stop()
+        if (cycle := self._in_work) is not None:
+            cycle.disconnected = True
+            cycle.message_event.set()
+        Lingering(self.loop, self.transport, self)
 
     def _refuse(self, problem: ProblemError) -> None:
         """Answer without the application, and close the connection."""
-        if self.transport.is_closing():
-            return
+        if not self.transport.is_closing():
+            self._write_refusal(problem)
+            self.transport.close()
+            self._watch_closing()
+
+    def _write_refusal(self, problem: ProblemError) -> None:
         kind = CATALOGUE[problem.code]
         body = json.dumps(problem.body()).encode()
         wait = f"retry-after: {round(problem.members['retry_after_s'])}\r\n" if problem.members else ""
@@ -267,8 +288,6 @@ class CallProtocol(HttpToolsProtocol):
             f"content-length: {len(body)}\r\nx-request-id: {secrets.token_hex(8)}\r\nconnection: close\r\n\r\n"
         )
         self.transport.write(STATUS_LINE[kind.status] + head.encode() + body)
-        self.transport.close()
-        self._watch_closing()
 
     def _watch_closing(self) -> None:
         if self.transport.is_closing() and not self._write_timer.runs:

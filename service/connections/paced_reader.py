@@ -40,8 +40,11 @@ class PacedReader(StreamReader):
 
     @property
     def held(self) -> int:
-        """The bytes that were read and are not parsed."""
-        return len(self.buffer) + (0 if self._landing is None else self._landing.filled)
+        """The bytes that were read and are not parsed; of a large payload the whole, from its beginning on.
+
+        So of two messages for which there is not room enough, one is read.
+        """
+        return len(self.buffer) + (0 if self._landing is None else self._landing.size)
 
     def turn(self, frames: int) -> None:
         """Let the parser read ``frames`` more frames."""

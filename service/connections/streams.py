@@ -16,10 +16,17 @@ from ..observability.sampled import Sampled
 from ..sessions.byte_budget import ByteBudget, Reservation
 from ..sessions.rate_limiter import TokenBucket
 from ..settings import Settings
-from .base import ABORT_EXTENSION, LEAVE_EXTENSION, OVER_CONNECTION_LIMIT, SHARE, TOO_MANY_BYTES
+from .base import (
+    ABORT_EXTENSION,
+    LEAVE_EXTENSION,
+    LINGER_S,
+    OVER_CONNECTION_LIMIT,
+    SHARE,
+    TOO_MANY_BYTES,
+    Lingering,
+)
 from .paced_reader import FRAMES_A_TURN, LARGE_BYTES, PacedReader
 
-ABORT_AFTER_S = 5.0
 # Messages of one connection that the application gets between two turns.
 MESSAGES_A_TURN = 16
 # A smaller fragment of a message counts as a control frame does: ordinary clients send larger ones.
@@ -45,7 +52,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         self._idle_frames = TokenBucket(self.settings.max_control_frames_per_s, time.monotonic())
         self._queued_bytes = self._unread_bytes = self._in_a_row = 0
         self._begun_at = 0.0
-        self._goes_on = self._served = False
+        self._goes_on = self._served = self._left = False
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Release the bytes."""
@@ -60,7 +67,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         # Frames that wait for a turn stay in front of these; a frame that comes alone asks for no turn.
         self._reader.turn(0 if self._reader.behind else FRAMES_A_TURN)
         super().data_received(data)
-        if self.transport.is_closing():
+        if self._ends:
             return
         # A large message is read in parts, too: the kernel would hand over megabytes in one turn.
         if self._reader.behind or len(data) > LARGE_BYTES:
@@ -84,7 +91,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
             self._queued_bytes = 0
             if self._reader.behind:
                 self._go_on_later()
-            elif self.read_paused and not self._goes_on:
+            elif self.read_paused and not self._goes_on and not self._ends:
                 self.read_paused = False
                 self.transport.resume_reading()
             self._count_bytes()
@@ -125,6 +132,11 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         self._count_frame()
         super().handle_pong(event)
 
+    def handle_parser_exception(self) -> None:
+        """Close a connection whose frames are against the protocol, or too large."""
+        assert self.conn.close_sent is not None
+        self._refuse(self.conn.close_sent.code, self.conn.close_sent.reason)
+
     async def run_asgi(self) -> None:
         """Run the application. Its scope has ways to end the connection, and says whether there are too many."""
         extensions: dict[str, Any] = self.scope["extensions"]
@@ -144,7 +156,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
 
         Raises ClientDisconnected, an OSError, while the connection is being lost.
         """
-        if self.transport.is_closing():
+        if self._ends:
             raise ClientDisconnected
         await super().send(message)
         if self.initial_response is not None and self.close_sent:
@@ -173,11 +185,28 @@ class FrameProtocol(WebSocketsSansIOProtocol):
     def keepalive_timeout(self) -> None:
         """Close the connection, as no pong has come; cut it if the client does not read the close frame either."""
         super().keepalive_timeout()
-        self.loop.call_later(ABORT_AFTER_S, self.transport.abort)
+        self.loop.call_later(LINGER_S, self.transport.abort)
+
+    @property
+    def _ends(self) -> bool:
+        return self._left or self.transport.is_closing()
+
+    def _refuse(self, code: int, reason: str) -> None:
+        """End a connection that was failed: tell the application, then the client, whatever that one still sends."""
+        self.queue.put_nowait({"type": "websocket.disconnect", "code": code, "reason": reason})
+        self.transport.write(b"".join(self.conn.data_to_send()))
+        self.close_sent = True
+        self._leave()
 
     def _leave(self) -> None:
-        self.transport.close()
-        self.loop.call_later(ABORT_AFTER_S, self.transport.abort)
+        """Send what was written, read no more, and end the connection."""
+        if not self._ends:
+            self._left = True
+            self._reader.clear()
+            self.frames = []
+            # Without a timer of its own, uvicorn closes the connection when the application returns.
+            self.close_timer = self.loop.call_later(LINGER_S, self.transport.abort)
+            Lingering(self.loop, self.transport, self)
 
     def _go_on_later(self) -> None:
         if not self._goes_on:
@@ -186,7 +215,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
 
     def _go_on(self) -> None:
         self._goes_on = self._reader.behind = False
-        if not self.transport.is_closing():
+        if not self._ends:
             self.data_received(b"")
             if not self._reader.behind and self.queue.empty() and self.read_paused:
                 self.read_paused = False
@@ -199,7 +228,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
 
     def _count_frame(self) -> None:
         """Count a frame without content; cut the connection if there are too many."""
-        if self._idle_frames.take(time.monotonic()) and not self.transport.is_closing():
+        if self._idle_frames.take(time.monotonic()) and not self._ends:
             log.info("stream cut", code="rate-limited", detail="too many control frames or small fragments")
             self.transport.abort()
 
@@ -207,11 +236,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         """Count the bytes that this connection holds; close it if the budget is used up."""
         begun = (self.conn.current_size or 0) + FRAGMENT_BYTES * len(self.frames)
         held = self._reader.held + begun + self._queued_bytes + self._unread_bytes
-        if not self._share.resize(held) and not self.transport.is_closing():
+        if not self._share.resize(held) and not self._ends:
             log.info("stream cut", code="at-capacity", detail=TOO_MANY_BYTES)
-            self._reader.clear()
-            self.frames = []
             self.conn.fail(CloseCode.TRY_AGAIN_LATER, "at-capacity")
-            self.transport.write(b"".join(self.conn.data_to_send()))
-            self.close_sent = True
-            self._leave()
+            self._refuse(CloseCode.TRY_AGAIN_LATER, "at-capacity")

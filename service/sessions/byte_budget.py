@@ -42,12 +42,16 @@ class ByteBudget:
 
 
 class Reservation:
-    """The bytes that one connection, call or stream holds of a budget."""
+    """The bytes that one connection, call or stream holds of a budget.
 
-    __slots__ = ("_budget", "_held", "_owner")
+    As many as ``elsewhere`` says are counted by another reservation, and not by this one.
+    """
+
+    __slots__ = ("_budget", "_held", "_owner", "elsewhere")
 
     def __init__(self, budget: ByteBudget, owner: str = ANONYMOUS) -> None:
         self._budget, self._owner, self._held = budget, owner, 0
+        self.elsewhere = 0
 
     def assign(self, owner: str) -> None:
         """Count for ``owner`` from now on, including what is held already."""
@@ -57,6 +61,7 @@ class Reservation:
 
     def resize(self, size: int) -> bool:
         """Hold ``size`` bytes in all. Return False, and keep what was held, if they do not fit."""
+        size = max(0, size - self.elsewhere)
         if size == self._held:
             return True
         if not self._budget.change(self._owner, size - self._held):

@@ -222,6 +222,21 @@ async def test_messages_that_are_not_finished_have_a_bound_together(serve: Serve
     assert (await wire.post(clip.frames[0] + bytes(7 * MIB), clip.box)).status_code == 201
 
 
+@pytest.mark.parametrize(("room", "announced", "code"), [(24, 13, 1013), (256, 17, 1009)], ids=["room", "size"])
+async def test_who_sends_a_message_for_which_there_is_no_room_is_told_so(
+    serve: Serve, clip: Clip, room: int, announced: int, code: int
+) -> None:
+    """The close frame comes although the client reads it only after its whole message."""
+    wire = serve(max_upload_bytes=room * MIB)
+    sid = await session(wire, clip)
+    for _ in range(5):
+        pair, _ = await attach(wire, sid)
+        async with asyncio.timeout(PATIENCE_S):
+            pair[1].write(frame(BINARY, bytes(announced * MIB)))
+            await pair[1].drain()
+            assert closed_with(await rest(pair)) == code
+
+
 async def test_a_repeated_creation_does_not_keep_its_frame_while_it_waits(serve: Serve, clip: Clip) -> None:
     """Ten times three megabytes wait where twelve may be under way."""
     wire = serve(max_upload_bytes=24 * MIB, operation_deadline_s=120, body_timeout_s=60)

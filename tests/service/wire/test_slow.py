@@ -17,6 +17,7 @@ from websockets.exceptions import InvalidStatus
 
 from service.load.clips import Clip
 from service.load.own import OwnServer
+from tests.tools.siege.traffic import MIB
 
 from .conftest import Serve, Wire, under_way_bytes
 
@@ -224,15 +225,11 @@ async def test_bodies_that_are_being_received_have_a_bound_together(serve: Serve
     """Many clients that each send a large body slowly cannot fill the memory; what they held is free again."""
     wire = serve(max_upload_bytes=4_000_000, body_timeout_s=PATIENCE_S)
     head = b"POST /v1/sessions HTTP/1.1\r\n" + HOST + b"Content-Type: application/vnd.mfcmt.snapshot\r\n"
-    slow: list[Pair] = []
-    # One after the other: of two that arrive at once, each may find too little left. What arrives counts more at first.
-    for size, together in ((700_000, 700_000), (500_000, 1_200_000)):
-        slow.append(await dial(wire, head + b"Content-Length: 3000000\r\n\r\n" + bytes(size)))
-        before, held = -1.0, 0.0
-        async with asyncio.timeout(PATIENCE_S):
-            while held < together or held != before:
-                await asyncio.sleep(0.1)
-                before, held = held, await under_way_bytes(wire)
+    starts = [head + b"Content-Length: %d\r\n\r\n" % (size + 1) + bytes(size) for size in (700_000, 500_000)]
+    slow = [await dial(wire, start) for start in starts]
+    async with asyncio.timeout(PATIENCE_S):
+        while await under_way_bytes(wire) < 1_200_000:
+            await asyncio.sleep(0.05)
     async with asyncio.timeout(PATIENCE_S):
         while (response := await wire.post(clip.frames[0] + bytes(900_000), clip.box)).status_code != 503:
             await asyncio.sleep(0.05)
@@ -243,6 +240,34 @@ async def test_bodies_that_are_being_received_have_a_bound_together(serve: Serve
     async with asyncio.timeout(PATIENCE_S):
         while (await wire.post(clip.frames[0] + bytes(900_000), clip.box)).status_code != 201:
             await asyncio.sleep(0.05)
+
+
+async def test_of_two_bodies_at_once_that_do_not_both_fit_one_is_read(serve: Serve, clip: Clip) -> None:
+    wire = serve(max_upload_bytes=4_000_000)
+    await wire.create(clip.frames[0], clip.box)
+    for _ in range(5):
+        both = (wire.post(clip.frames[0] + bytes(1_400_000), clip.box) for _ in range(2))
+        assert sorted(response.status_code for response in await asyncio.gather(*both)) in ([201, 201], [201, 503])
+
+
+async def test_who_is_refused_while_sending_is_told_so(serve: Serve, clip: Clip) -> None:
+    """The answer comes although the client reads it only after its whole body."""
+    wire = serve(max_upload_bytes=24 * MIB, body_timeout_s=PATIENCE_S)
+    head = b"POST /v1/sessions HTTP/1.1\r\n" + HOST + b"Content-Type: application/vnd.mfcmt.snapshot\r\n"
+    fills = await dial(wire, head + b"Content-Length: %d\r\n\r\n" % (12 * MIB - 10_000))
+    async with asyncio.timeout(PATIENCE_S):
+        while await under_way_bytes(wire) < 11 * MIB:
+            await asyncio.sleep(0.05)
+        for _ in range(5):
+            pair = await dial(wire, head + b"Content-Length: %d\r\n\r\n" % (8 * MIB))
+            for _ in range(128):
+                pair[1].write(bytes(MIB // 16))
+                await pair[1].drain()
+            received = await pair[0].read(65536)
+            assert received.startswith(b"HTTP/1.1 503"), received
+            assert b"at-capacity" in received
+            pair[1].close()
+    fills[1].transport.abort()
 
 
 async def test_nothing_is_inflated(serve: Serve, clip: Clip) -> None:
