@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 from starlette.requests import ClientDisconnect, Request
 
+from .. import turns
 from ..connections import SHARE
 from ..landing import Landing
 from ..protocol.documents import Unreadable, from_json, from_msgpack
@@ -35,6 +36,7 @@ async def read(
         async with in_time(settings):
             async for part in bounded(request, limit, code):
                 landing.add(part)
+        await turns.give_way()  # to read a large document takes a turn of its own
         return landing.taken()
     first, more = b"", bytearray()
     async with in_time(settings):

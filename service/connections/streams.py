@@ -204,6 +204,8 @@ class FrameProtocol(WebSocketsSansIOProtocol):
             self._left = True
             self._reader.clear()
             self.frames = []
+            if self.close_timer is not None:
+                self.close_timer.cancel()
             # Without a timer of its own, uvicorn closes the connection when the application returns.
             self.close_timer = self.loop.call_later(LINGER_S, self.transport.abort)
             Lingering(self.loop, self.transport, self)

@@ -14,9 +14,11 @@ from .traffic import MIB
 
 # The least that a service gives itself; see docs/security.md.
 ROOM_BYTES = 128 * MIB
+# What the front keeps of sessions so that they survive a lane; the besieger's, with frames of 8 MiB, need nearly all.
+RECOVERY_BYTES = 384 * MIB
 # The bound of the front: bytes under way, as much again in copies of them, half as much in freed memory that the C
-# library keeps, and a reserve.
-BOUND_BYTES = 2 * ROOM_BYTES + ROOM_BYTES // 2 + 64 * MIB
+# library keeps, what is kept of sessions, and a reserve.
+BOUND_BYTES = 2 * ROOM_BYTES + ROOM_BYTES // 2 + RECOVERY_BYTES + 64 * MIB
 MAX_STALL_S = 0.05
 MAX_RATIO = 3.0
 # A busy machine delays the neighbour, too: a wait below this misses no target.

@@ -29,7 +29,7 @@ from service.load.usage import server_processes
 
 from ..command import ROOT, Tell
 from .attacks import Attack
-from .outcome import ROOM_BYTES, Outcome, Waits
+from .outcome import RECOVERY_BYTES, ROOM_BYTES, Outcome, Waits
 from .traffic import HEAVY_BYTES, MIB, padded
 
 FPS = 30.0
@@ -48,6 +48,7 @@ SETTINGS: dict[str, Any] = {
     "api_keys": f"{BESIEGED},{BESIEGER}",
     "signing_keys": "a-secret-of-the-siege",
     "max_upload_bytes": ROOM_BYTES,
+    "max_recovery_bytes": RECOVERY_BYTES,
 }
 # Runs in the server before it starts: beside the watch of the loop's lag, it appends a line to a file for every stretch
 # that the loop's thread worked without a timer's turn. A line is the monotonic time and the processor time, in seconds.
