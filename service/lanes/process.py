@@ -6,9 +6,8 @@ import asyncio
 import socket
 import struct
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from typing import cast
 
@@ -23,7 +22,6 @@ from .framing import (
     NO_REPLY,
     PART,
     PART_BYTES,
-    SIZE,
     TOOK,
     FramingError,
     Splitter,
@@ -33,6 +31,7 @@ from .framing import (
     is_large,
 )
 from .interface import Buffers, LaneLost
+from .large_calls import LargeCalls, PendingCall
 from .limits import LaneLimits
 
 # While the lane works on a short call, the next one is already in its socket, so that it never waits for the front.
@@ -41,31 +40,6 @@ PIPELINE = 2
 # comparison. A call counts as long as the longest recent one of its key, in processor time; the first counts as long.
 SHORT_S = 0.01
 DECAY = 0.7
-# Large calls of an owner in a lane, from their first part to the end of their reply: this bounds what the lane keeps of
-# them, and their part of the socket.
-LARGE_OF_OWNER = 2
-
-
-@dataclass(slots=True, eq=False)
-class PendingCall:
-    """A call that waits for its reply. ``request`` is what is still to be sent; the number is 0 until any of it was."""
-
-    owner: str
-    key: str
-    request: Buffers
-    answer: asyncio.Future[bytes | memoryview]
-    number: int = 0
-    large: bool = False
-
-    def take_part(self) -> Buffers | None:
-        """Remove and return the next part to send ahead; None if only the end of the call is left."""
-        *head, data = self.request
-        if len(data) <= PART_BYTES:
-            return None
-        size = [] if self.number else [SIZE.pack(sum(map(len, self.request)))]
-        rest = memoryview(data)
-        self.request = (rest[PART_BYTES:],)
-        return (*size, *head, rest[:PART_BYTES])
 
 
 class LaneProcess(asyncio.Protocol):
@@ -92,12 +66,9 @@ class LaneProcess(asyncio.Protocol):
         self._queue: FairOwnerQueue[PendingCall] = FairOwnerQueue()
         self._expected: dict[str, float] = {}
         self._in_flight: deque[PendingCall] = deque()
-        self._large: deque[PendingCall] = deque()  # they wait until their owner has fewer
-        self._large_now: Counter[str] = Counter()  # their number by owner
-        self._ahead: deque[PendingCall] = deque()  # their requests are being sent, a part of each in turn
+        self._large = LargeCalls(self._send_part, self._enqueue)
         self._arriving: dict[int, tuple[PendingCall, Landing]] = {}  # done, with the parts of the reply so far
-        self._full = False
-        self._working_since = self._moved = 0.0
+        self._working_since = 0.0
         self._cause = LaneLoss.DIED
         self._calls = 0
         self._splitter = Splitter()
@@ -134,30 +105,24 @@ class LaneProcess(asyncio.Protocol):
         else:
             owner = self.keys[key]
             call = PendingCall(owner, key, request, answer, large=is_large(request))
-            if call.large:
-                self._large.append(call)
-                self._begin_large(owner)
-            else:
-                self._queue.push(owner, key, call)
-                self._dispatch()
+            (self._large.push if call.large else self._enqueue)(call)
         return answer
 
     def forget(self, key: str) -> None:
         """Have the lane drop its state for ``key``, behind the operation in work."""
         self._expected.pop(key, None)
         owner = self.keys.pop(key)
-        large = [call for call in (*self._large, *self._ahead) if call.key == key]
-        for call in (*self._queue.forget(owner, key), *large):
-            _fail(call, LaneLost(LaneLoss.RELEASED))
-            self._take_back(call)
+        for call in (*self._queue.forget(owner, key), *self._large.of_key(key)):
+            call.fail(LaneLost(LaneLoss.RELEASED))
+            self._large.take_back(call)
         if self._transport is not None and not self.lost:
             self._transport.writelines(framed(NO_REPLY, encode_call("drop", key, {})))
 
     def overdue_s(self) -> float:
         """Return the seconds since the operation in work began or a part of a large call moved; 0 without any."""
-        if not (self._in_flight or self._ahead or self._arriving):
+        if not (self._in_flight or self._large.sends or self._arriving):
             return 0.0
-        return time.monotonic() - max(self._working_since, self._moved)
+        return time.monotonic() - max(self._working_since, self._large.moved)
 
     def kill(self, cause: LaneLoss = LaneLoss.DIED) -> None:
         """End the worker at once. The first ``cause`` is the one that is reported."""
@@ -183,12 +148,12 @@ class LaneProcess(asyncio.Protocol):
 
     def pause_writing(self) -> None:
         """The socket is full: further parts wait. Other calls do not, since PIPELINE bounds them."""
-        self._full = True
+        self._large.full = True
 
     def resume_writing(self) -> None:
         """The socket takes more."""
-        self._full = False
-        self._send_ahead()
+        self._large.full = False
+        self._large.go_on()
 
     def data_received(self, data: bytes) -> None:
         """Take the replies of the worker."""
@@ -207,16 +172,15 @@ class LaneProcess(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002
         """Fail every call: the worker has died or was told to stop."""
         self.lost, self.ready = True, False
-        calls = list(self._in_flight)
-        if calls:
-            _fail(calls.pop(0), LaneLost(self._cause, in_work=True))
+        if self._in_flight:
+            self._in_flight.popleft().fail(LaneLost(self._cause, in_work=True))
+        calls = [*self._in_flight, *self._large.clear(), *(call for call, _ in self._arriving.values())]
         for key, owner in self.keys.items():
             calls += self._queue.forget(owner, key)
-        arriving = [call for call, _ in self._arriving.values()]
-        for call in (*calls, *self._large, *self._ahead, *arriving):
-            _fail(call, LaneLost(self._cause))
-        for some in (self._in_flight, self._large, self._large_now, self._ahead, self._arriving):
-            some.clear()
+        for call in calls:
+            call.fail(LaneLost(self._cause))
+        self._in_flight.clear()
+        self._arriving.clear()
         self._on_lost(self, self._cause)
 
     def _hello(self, payload: bytes | memoryview) -> None:
@@ -240,7 +204,7 @@ class LaneProcess(asyncio.Protocol):
         self._queue.charge(call.owner, call.key, used)
         if number & PART:
             self._arriving[call.number] = call, begin_parts(payload)
-            self._moved = now
+            self._large.moved = now
         else:
             self._answer(call, payload)
         self._dispatch()
@@ -248,7 +212,7 @@ class LaneProcess(asyncio.Protocol):
     def _take_part(self, number: int, call: PendingCall, landing: Landing, payload: bytes | memoryview) -> None:
         """Take a further part of a reply, or its end."""
         landing.add(payload)
-        self._moved = time.monotonic()
+        self._large.moved = time.monotonic()
         if not number & PART:
             del self._arriving[number]
             self._answer(call, landing.taken())
@@ -256,51 +220,17 @@ class LaneProcess(asyncio.Protocol):
     def _answer(self, call: PendingCall, payload: bytes | memoryview) -> None:
         if not call.answer.done():
             call.answer.set_result(payload)
-        self._end_large(call)
+        self._large.end(call)
 
-    def _begin_large(self, owner: str) -> None:
-        """Begin to send the large calls of an owner whose turn it is."""
-        waiting = [call for call in self._large if call.owner == owner]
-        for call in waiting[: LARGE_OF_OWNER - self._large_now[owner]]:
-            self._large.remove(call)
-            self._large_now[owner] += 1
-            if not self._ahead:
-                self._moved = time.monotonic()
-            self._ahead.append(call)
-        self._send_ahead()
+    def _enqueue(self, call: PendingCall) -> None:
+        """Queue a call of which there is a little to send."""
+        self._queue.push(call.owner, call.key, call)
+        self._dispatch()
 
-    def _end_large(self, call: PendingCall) -> None:
-        if call.large:
-            self._large_now -= Counter((call.owner,))
-            self._begin_large(call.owner)
-
-    def _send_ahead(self) -> None:
-        """Send parts as far as the socket takes them. What then is left of a call waits for its turn like others."""
-        assert self._transport is not None
-        while self._ahead and not self._full:
-            call = self._ahead[0]
-            if call.answer.done():
-                self._take_back(call)
-            elif (part := call.take_part()) is not None:
-                call.number = call.number or self._next_number()
-                self._transport.writelines(framed(call.number | PART, part))
-                self._moved = time.monotonic()
-                self._ahead.rotate(-1)
-            else:
-                self._ahead.popleft()
-                self._queue.push(call.owner, call.key, call)
-                self._dispatch()
-
-    def _take_back(self, call: PendingCall) -> None:
-        """Give up a call that has not been sent whole; nobody waits for its reply any more."""
-        if call in self._large:
-            self._large.remove(call)
-            return
-        if call in self._ahead:
-            self._ahead.remove(call)
-        if call.number and self._transport is not None and not self.lost:
-            self._transport.writelines(framed(call.number | PART, ()))
-        self._end_large(call)
+    def _send_part(self, call: PendingCall, part: Buffers) -> None:
+        call.number = call.number or self._next_number()
+        if self._transport is not None and not self.lost:
+            self._transport.writelines(framed(call.number | PART, part))
 
     def _next_number(self) -> int:
         self._calls = self._calls % (PART - 1) + 1
@@ -310,7 +240,7 @@ class LaneProcess(asyncio.Protocol):
         assert self._transport is not None
         while self._takes_more() and (call := self._queue.pop()) is not None:
             if call.answer.done():
-                self._take_back(call)
+                self._large.take_back(call)
                 continue
             if not self._in_flight:
                 self._working_since = time.monotonic()
@@ -324,8 +254,3 @@ class LaneProcess(asyncio.Protocol):
             return True
         expected = self._expected.get(self._in_flight[-1].key, SHORT_S)
         return len(self._in_flight) < PIPELINE and expected < SHORT_S
-
-
-def _fail(call: PendingCall, error: Exception) -> None:
-    if not call.answer.done():
-        call.answer.set_exception(error)

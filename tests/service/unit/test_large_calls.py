@@ -13,7 +13,8 @@ import pytest
 
 from service.lanes.framing import NO_REPLY, decode_call, decode_reply, encode_call, encode_value
 from service.lanes.interface import LaneLost
-from service.lanes.process import LARGE_OF_OWNER, LaneProcess
+from service.lanes.large_calls import LARGE_OF_OWNER
+from service.lanes.process import LaneProcess
 from service.lanes.wire import LaneWire
 from service.protocol.enums import LaneLoss
 
@@ -115,10 +116,10 @@ async def test_only_a_few_large_calls_of_an_owner_are_with_the_lane_at_once() ->
         calls = [track(lane, "big", MIB) for _ in range(LARGE_OF_OWNER + 3)]
         calls.append(track(lane, "small", MIB))
         await asyncio.sleep(0.1)
-        assert lane._large_now == {"one": LARGE_OF_OWNER, "another": 1}
+        assert lane._large._of_owner == {"one": LARGE_OF_OWNER, "another": 1}
         worker.reads.set()
         assert [await value(call) for call in calls] == [MIB] * len(calls)
-        assert not lane._large_now
+        assert not lane._large._of_owner
         assert lane.overdue_s() == 0.0
 
 
@@ -150,7 +151,7 @@ async def test_a_large_call_of_a_released_key_is_taken_back() -> None:
         assert await value(stays) == 2 * MIB
         assert worker.heard == ["track small", "drop big", "track also big"]
         assert not worker.wire._parts
-        assert not lane._large_now
+        assert not lane._large._of_owner
 
 
 async def test_a_lane_that_takes_no_part_is_overdue_and_its_calls_are_lost_with_it() -> None:
