@@ -27,9 +27,6 @@ SHUTDOWN_S = 5
 # All waiting connections are accepted in one turn of the event loop; more than these try again a second later.
 BACKLOG = 256
 DRAIN_TICK_S = READY_TICK_S = 0.05
-# When garbage is looked for; see gc.set_threshold. Connections that end leave some that only the third number reaches;
-# with Python's own, one look at what a thousand of them left would hold up the loop for 40 ms.
-GARBAGE = (700, 5, 2)
 # Clients may come back after this time, and a random part of the spread later.
 RETURN_S = 0.5
 SPREAD_S = (0.0, 1.5)
@@ -63,7 +60,6 @@ class Server(uvicorn.Server):
         # The objects that exist now stay: looking for garbage among them would hold up the loop for tens of ms.
         gc.collect()
         gc.freeze()
-        gc.set_threshold(*GARBAGE)
         if self.started:
             host, port = self.servers[0].sockets[0].getsockname()[:2]
             url = f"http://{f'[{host}]' if ':' in host else host}:{port}"

@@ -17,7 +17,7 @@ from ..protocol.enums import ProblemCode
 from ..protocol.problems import CATALOGUE, MEDIA_TYPE, ProblemError
 from ..sessions.byte_budget import ANONYMOUS, ByteBudget, Reservation
 from ..settings import Settings
-from .base import CUT_ABOVE, OVER_CONNECTION_LIMIT, SHARE, TOO_MANY_BYTES, Lingering, Timer
+from .base import CUT_ABOVE, OVER_CONNECTION_LIMIT, SHARE, TOO_MANY_BYTES, Lingering, Timer, ended
 
 # Bytes that the parser gets at a time where they may hold many pieces: two hundred chunks or fifty calls.
 SLICE_BYTES = 1024
@@ -79,6 +79,7 @@ class CallProtocol(HttpToolsProtocol):
         self._gone, self._rest = True, b""
         self._share.resize(0)
         super().connection_lost(exc)
+        ended.count(len(self.connections))
 
     def data_received(self, data: bytes) -> None:
         """Take the bytes of a call, or of one that begins."""

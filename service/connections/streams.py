@@ -24,6 +24,7 @@ from .base import (
     SHARE,
     TOO_MANY_BYTES,
     Lingering,
+    ended,
 )
 from .paced_reader import FRAMES_A_TURN, LARGE_BYTES, PacedReader
 
@@ -57,6 +58,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Release the bytes."""
         super().connection_lost(exc)
+        ended.count(len(self.connections))
         self._unread_bytes = 0
         self._reader.clear()
         self.frames = []
