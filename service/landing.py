@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import mmap
 
+# Smaller values are copied as a whole, within a millisecond: that costs less than memory of their own.
+LARGE_BYTES = 1 << 20
+
 
 class Landing:
     """Takes the pieces of ``size`` bytes (at least 1). Memory is used as it is filled, and returned to the system."""

@@ -12,7 +12,7 @@ from starlette.requests import ClientDisconnect, Request
 
 from .. import turns
 from ..connections import SHARE
-from ..landing import Landing
+from ..landing import LARGE_BYTES, Landing
 from ..protocol.documents import Unreadable, from_json, from_msgpack
 from ..protocol.enums import ProblemCode
 from ..protocol.problems import ProblemError
@@ -21,8 +21,6 @@ from ..sessions.byte_budget import Reservation
 from ..settings import Settings
 from .answers import JSON, MSGPACK, content_type, unsupported
 
-# A body that is announced as larger than this is not copied when it is complete.
-LARGE_BYTES = 128 * 1024
 # The key in the state of a scope under which a call's share of the byte budget is, until it is answered.
 HELD = "mfcmt.held"
 

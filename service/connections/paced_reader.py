@@ -8,12 +8,10 @@ from typing import Any
 from websockets import frames
 from websockets.streams import StreamReader
 
-from ..landing import Landing
+from ..landing import LARGE_BYTES, Landing
 
 # Frames of one connection that are parsed between two turns of the event loop, about 20 µs each.
 FRAMES_A_TURN = 32
-# A payload above this is unmasked piece by piece, as it arrives.
-LARGE_BYTES = 128 * 1024
 MASK_BYTES = 4
 
 _parser: Any = frames
@@ -29,7 +27,10 @@ _parser.apply_mask = _unless_unmasked
 
 
 class PacedReader(StreamReader):
-    """Stops after a number of frames until the next turn. A large payload is a memoryview, and unmasked already."""
+    """Stops after a number of frames until the next turn.
+
+    A large payload is unmasked piece by piece, as it arrives, and returned as a memoryview.
+    """
 
     def __init__(self) -> None:
         super().__init__()

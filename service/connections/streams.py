@@ -26,10 +26,11 @@ from .base import (
     Lingering,
     ended,
 )
-from .paced_reader import FRAMES_A_TURN, LARGE_BYTES, PacedReader
+from .paced_reader import FRAMES_A_TURN, PacedReader
 
 # Messages of one connection that the application gets between two turns.
 MESSAGES_A_TURN = 16
+LARGE_READ_BYTES = 128 * 1024
 # A smaller fragment of a message counts as a control frame does: ordinary clients send larger ones.
 SMALL_FRAGMENT_BYTES = 1024
 # The memory of a fragment beside its bytes.
@@ -72,7 +73,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         if self._ends:
             return
         # A large message is read in parts, too: the kernel would hand over megabytes in one turn.
-        if self._reader.behind or len(data) > LARGE_BYTES:
+        if self._reader.behind or len(data) > LARGE_READ_BYTES:
             self._pause_reading()
             if self.queue.empty() or self.close_sent:
                 self._go_on_later()

@@ -17,7 +17,7 @@ from typing import Any
 
 import msgpack
 
-from ..landing import Landing
+from ..landing import LARGE_BYTES, Landing
 from .interface import Buffers
 
 HEAD = struct.Struct(">II")
@@ -46,7 +46,7 @@ def encode_call(op: str, key: str, args: Mapping[str, Any], data: bytes | memory
 
 def is_large(request: Buffers) -> bool:
     """Return whether a call, or the reply to it, may have megabytes."""
-    return len(request[-1]) > 2 * PART_BYTES or bytes(request[0]).startswith(LARGE_REPLIES)
+    return len(request[-1]) > LARGE_BYTES or bytes(request[0]).startswith(LARGE_REPLIES)
 
 
 def decode_call(payload: memoryview) -> tuple[str, str, dict[str, Any], bytes]:

@@ -6,7 +6,7 @@ import select
 import socket
 from collections import deque
 
-from ..landing import Landing
+from ..landing import LARGE_BYTES, Landing
 from .framing import HEAD, PART, PART_BYTES, SIZE, TOOK, begin_parts
 from .interface import Buffers
 
@@ -15,9 +15,10 @@ class LaneWire:
     """Receives one call at a time, and sends replies; a large one in parts, which no other call or reply waits for."""
 
     def __init__(self, sock: socket.socket) -> None:
-        sock.setblocking(False)
+        sock.setblocking(True)
         self._sock = sock
         self._poll = select.poll()
+        self._poll.register(sock, select.POLLIN | select.POLLOUT)
         self._head = bytearray(HEAD.size)
         self._buffer = bytearray(1 << 18)
         self._length: int | None = None  # of the message that is being received, once its head is known
@@ -30,8 +31,6 @@ class LaneWire:
         """Return ``call, payload``; the payload is valid until the next call. Raises EOFError at the end."""
         self._flush()
         while (payload := self._received()) is None:
-            waits = self._unsent or self._large
-            self._poll.register(self._sock, select.POLLIN | (select.POLLOUT if waits else 0))
             self._poll.poll()
             self._flush()
         return self._call, payload
@@ -40,7 +39,7 @@ class LaneWire:
         """Send one reply, now or, as far as the socket is full, while the next call is awaited."""
         *heads, last = (TOOK.pack(took), *payload)
         rest = memoryview(last)
-        if len(rest) > 2 * PART_BYTES:
+        if len(rest) > LARGE_BYTES:
             size = SIZE.pack(sum(map(len, payload)))
             self._put(call | PART, (heads[0], size, *heads[1:], rest[:PART_BYTES]))
             self._large.append((call, rest[PART_BYTES:]))
@@ -79,10 +78,14 @@ class LaneWire:
         return landing.taken()
 
     def _fill(self, view: memoryview) -> bool:
-        """Receive what belongs into ``view``. Return False if some is missing; the next call goes on there."""
+        """Receive what belongs into ``view``. Return False if some is missing; the next call goes on there.
+
+        This waits for the rest if there is nothing to send meanwhile.
+        """
+        flags = socket.MSG_DONTWAIT if self._unsent or self._large else socket.MSG_WAITALL
         while self._got < len(view):
             try:
-                got = self._sock.recv_into(view[self._got :])
+                got = self._sock.recv_into(view[self._got :], 0, flags)
             except BlockingIOError:
                 return False
             if got == 0:
@@ -101,7 +104,7 @@ class LaneWire:
             if not self._unsent and not self._take_part():
                 return
             try:
-                sent = self._sock.sendmsg(self._unsent)
+                sent = self._sock.sendmsg(self._unsent, (), socket.MSG_DONTWAIT)
             except BlockingIOError:
                 return
             while self._unsent and sent >= len(self._unsent[0]):
