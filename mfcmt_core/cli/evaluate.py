@@ -14,6 +14,7 @@ from pathlib import Path
 import cv2
 
 from ..otb import film
+from ..otb.between import between_keyframes, between_table
 from ..otb.catalogue import resolve
 from ..otb.dataset import Dataset
 from ..otb.document import Block, Picture, to_markdown
@@ -88,6 +89,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="reproduce section IV of the paper: write pages on presets, other trackers and ablations to the folder",
     )
     parser.add_argument("--published", type=Path, metavar="FOLDER", help="folders of published boxes for --reproduce")
+    parser.add_argument(
+        "--keyframes",
+        metavar="N",
+        help="measure what lies between known boxes in every Nth frame (30,60,120) against lines between them and "
+        "against tracking forward alone",
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="number of processes (default: one per CPU)")
 
 
@@ -95,6 +102,8 @@ def run(args: argparse.Namespace) -> int:
     """Run what is not finished and print a table per protocol. Return 1 if a tracker failed on a sequence."""
     if args.fit_confidence:
         return _fit(args)
+    if args.keyframes:
+        return _keyframes(args)
     protocols = [p.upper() for p in args.protocol.split(",")]
     if unknown := set(protocols) - set(PROTOCOLS):
         raise UsageError(f"unknown protocol: {', '.join(sorted(unknown))}")
@@ -147,6 +156,24 @@ def _fit(args: argparse.Namespace) -> int:
             [title, ranking(said), statuses(said), absences(said), f"```python\n{constants(fit(recorded))}\n```"]
         )
     )
+    return 0
+
+
+def _keyframes(args: argparse.Namespace) -> int:
+    """Print how good the boxes between keyframes are."""
+    try:
+        distances = [int(n) for n in args.keyframes.split(",")]
+    except ValueError:
+        distances = []
+    if not distances or min(distances) < 2:
+        raise UsageError("--keyframes takes numbers of frames from 2 on, as 30,60,120")
+    tracker = resolve(args.trackers[0], args.results)
+    if len(args.trackers) > 1 or not isinstance(tracker, Engine):
+        raise UsageError("--keyframes measures one preset or configuration: name it with --trackers")
+    dataset = _dataset(args)
+    with _Bar("keyframes") as bar:
+        scores = between_keyframes(dataset, distances, tracker.config, args.jobs, bar)
+    print(to_markdown([f"{dataset.name}, {dataset.coverage} targets", between_table(scores)]))
     return 0
 
 

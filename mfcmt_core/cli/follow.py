@@ -57,7 +57,7 @@ def follow(task: Task, ending: Ending, step: Step, source: Source, first: Frame)
     rows = follower.update(first)
     counts: Counter[str] = Counter()
     length = 0
-    outputs = _Outputs(task, source, first)
+    outputs = Outputs(task, source, first)
     try:
         for frame in chain([first], source.frames):
             with ending.held():
@@ -89,7 +89,7 @@ def open_task(task: Task) -> tuple[Source, Frame]:
     return source, first
 
 
-class _Outputs:
+class Outputs:
     """The boxes and the video of a task."""
 
     def __init__(self, task: Task, source: Source, first: Frame) -> None:
@@ -104,9 +104,16 @@ class _Outputs:
         if task.video is not None:
             sound = Sound(source.path, source.origin_s) if task.audio and source.path is not None else None
             self._video = VideoWriter(task.video, source.fps, sound)
-        self._overlay = Overlay([start.target for start in task.starts])
+        self._overlay = Overlay(list(dict.fromkeys(start.target for start in task.starts)))
 
     def write(self, frame: Frame, rows: Sequence[Row]) -> None:
+        """Write a frame's results, and draw them. Raises MFCMTError."""
+        self.rows(rows)
+        if self._video:
+            time_s = frame.index / self._fps if frame.time_s is None else frame.time_s
+            self._video.write(self._overlay.draw(frame.image, rows), time_s)
+
+    def rows(self, rows: Sequence[Row]) -> None:
         """Write a frame's results. Raises MFCMTError."""
         try:
             self._rows.write(rows)
@@ -114,9 +121,6 @@ class _Outputs:
             raise
         except OSError as failed:
             raise self._unwritten(failed) from failed
-        if self._video:
-            time_s = frame.index / self._fps if frame.time_s is None else frame.time_s
-            self._video.write(self._overlay.draw(frame.image, rows), time_s)
 
     def close(self, length: int) -> None:
         """Complete the files, the one even if the other cannot be. Raises MFCMTError."""

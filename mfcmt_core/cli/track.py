@@ -22,6 +22,7 @@ from . import UsageError
 from .box_files import once_each, read_boxes
 from .boxes import parse_box
 from .follow import Task, follow, open_task
+from .keyframes import follow_keyframes
 from .many import is_many, track_many
 from .progress import Progress
 from .signals import Ended, Ending
@@ -39,6 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     start = parser.add_mutually_exclusive_group(required=True)
     start.add_argument("--box", metavar="X,Y,W,H", help="the target in the first frame, in 0-based pixels")
     start.add_argument("--boxes", metavar="FILE", type=Path, help="CSV or JSON of boxes: x,y,w,h,name,class,frame,file")
+    start.add_argument("--keyframes", metavar="FILE", type=Path, help="CSV or JSON of boxes known at several frames")
     start.add_argument("--select", action="store_true", help="draw the box in a page that opens in the browser")
     add("--no-browser", action="store_true", help="with --select: print the page's address only")
     add("--name", default="target", help="the target's name in the output (target)")
@@ -78,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     of_source = _of_source(args, starts)
     task = Task(
         args.source,
-        tuple(once_each(of_source, args.boxes)),
+        tuple(of_source if args.keyframes else once_each(of_source, args.boxes)),
         _config(args.preset, args.config),
         _options(args, of_source),
         args.video,
@@ -112,15 +114,16 @@ def _track(task: Task, args: argparse.Namespace) -> Counter[str]:
             task = replace(task, starts=(Start(Target(name=args.name, kind=args.kind), box),))
         with Progress(source.length, shown=shown) as bar:
             try:
-                return follow(task, ending, lambda _, __, status: bar.step(status), source, first)
+                work = follow_keyframes if args.keyframes else follow
+                return work(task, ending, lambda _, __, status: bar.step(status), source, first)
             except BadBox as bad:
                 raise UsageError(str(bad)) from bad
 
 
 def _starts(args: argparse.Namespace) -> dict[str, list[Start]]:
     """Return the targets by the file that they are in, ``""`` if that is the source."""
-    if args.boxes is not None:
-        return read_boxes(args.boxes, args.name, args.kind)
+    if args.boxes is not None or args.keyframes is not None:
+        return read_boxes(args.boxes or args.keyframes, args.name, args.kind)
     box = parse_box(args.box) if args.box is not None else None
     return {"": [] if box is None else [Start(Target(name=args.name, kind=args.kind), box)]}
 
@@ -131,7 +134,7 @@ def _of_source(args: argparse.Namespace, starts: dict[str, list[Start]]) -> list
     for name in ("", args.source, path.name, path.stem):
         if name in starts:
             return starts[name]
-    raise UsageError(f"{args.boxes} has no box for {path.name}")
+    raise UsageError(f"{args.boxes or args.keyframes} has no box for {path.name}")
 
 
 def _options(args: argparse.Namespace, starts: list[Start]) -> Options:
@@ -158,7 +161,10 @@ def _options(args: argparse.Namespace, starts: list[Start]) -> Options:
             raise UsageError(str(bad)) from bad
     if output is not None and args.video is not None and output.resolve() == args.video.resolve():
         raise UsageError(f"--output and --video are the same file, {output}")
-    return Options(style, output, args.tolerance, flush=args.source.isdigit() or "://" in args.source)
+    live = args.source.isdigit() or "://" in args.source
+    if args.keyframes and live:
+        raise UsageError("--keyframes are for files: a camera has no frame that is known beforehand")
+    return Options(style, output, args.tolerance, bool(args.keyframes), flush=live)
 
 
 def _within(path: Path, source: Path) -> bool:
