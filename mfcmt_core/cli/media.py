@@ -12,8 +12,8 @@ import cv2
 
 from ..errors import MFCMTError
 from ..images.files import SUFFIXES, UNREADABLE_SUFFIXES, BadImageFile, left_out, list_images, read_image
-from ..video import Frame, VideoError, VideoReader
-from ..video.live import SCHEMES, LiveVideo
+from ..video import Frame, LiveVideo, VideoError, VideoReader
+from ..video.live import SCHEMES
 from . import UsageError
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # its warnings would break the one-line errors

@@ -53,5 +53,6 @@ class Ending:
             yield
         finally:
             self._held = False
-        if self._number is not None:
-            raise Ended(self._number)
+        number, self._number = self._number, None
+        if number is not None:
+            raise Ended(number)

@@ -109,7 +109,8 @@ class LiveVideo:
                             self._tell(f"{self.name} is back")
                         gone, pause = False, 1.0
                         with self._ready:
-                            self._newest = Frame(count, last - start, image)
+                            if self._newest is None or self._newest.index:  # the first one waits to be taken
+                                self._newest = Frame(count, last - start, image)
                             self._ready.notify()
                         count += 1
                         if self._stop.is_set():

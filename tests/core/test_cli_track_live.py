@@ -22,6 +22,7 @@ import pytest
 from mfcmt_core import MFCMT, synthetic
 from mfcmt_core.video import live
 from tests.commands import run_command
+from tests.examples import rtsp
 
 SCRIPT = Path(sys.executable).with_name("mfcmt")
 HEAD = b"HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=b\r\n\r\n"
@@ -167,6 +168,17 @@ def test_a_source_that_cannot_be_opened_is_one_line(source, code, says):
     assert (done.returncode, done.stdout) == (code, "")
     assert done.stderr == f"mfcmt track: {says}\n" or (code == 2 and says in done.stderr)
     assert "secret" not in done.stderr
+
+
+def test_an_rtsp_camera_is_followed(clip, box):
+    images = [frame for frame in clip.frames[:15] for _ in range(3)]
+    with rtsp.camera(images, fps=20) as address:
+        done = run_command("track", address, "--box", box, "--retry", "0")
+    assert done.returncode == 1  # it ends, which no camera does
+    assert "is gone: " in done.stderr
+    found = rows(done.stdout)
+    assert len(found) > 5
+    assert {r["status"] for r in found} == {"tracking"}
 
 
 def test_a_time_to_end_is_for_live_sources(tmp_path, box):

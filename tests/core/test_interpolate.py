@@ -75,10 +75,8 @@ def test_the_command_fills_in_several_targets(clip, tmp_path):
 
     for n, frame in enumerate(clip.frames):
         cv2.imwrite(str(tmp_path / f"{n}.png"), frame)
-    lines = ["frame,name,x,y,w,h"]
-    for n in (0, 12, 24):
-        lines.append(f"{n},plate,{','.join(map(str, clip.boxes[n]))}")
-    lines.append(f"6,other,{','.join(map(str, clip.boxes[6]))}")
+    known = [(n, "plate") for n in (0, 12, 24)] + [(6, "other")]
+    lines = ["frame,name,x,y,w,h"] + [f"{n},{name},{','.join(map(str, clip.boxes[n]))}" for n, name in known]
     (tmp_path / "k.csv").write_text("\n".join(lines))
     done = run_command("track", tmp_path, "--keyframes", tmp_path / "k.csv", "--video", tmp_path / "seen.mp4")
     assert (done.returncode, done.stderr) == (0, "")
