@@ -25,6 +25,7 @@ CHAOS = ("chaos",)
 SLOW = (
     *BROWSER,
     *CHAOS,
+    "core/otb/test_between.py",
     "core/otb/test_command.py",
     "core/otb/test_published.py",
     "core/otb/test_report.py",

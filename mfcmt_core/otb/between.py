@@ -50,6 +50,8 @@ def between_table(scores: Scores) -> Table:
     rows = []
     for distance, ways in scores.items():
         for way, overlaps in ways.items():
+            if not overlaps:
+                continue
             means = [np.mean([value(o) for o in overlaps]) for value in (np.mean, lambda o: np.mean(o > 0.5))]
             rows.append([str(distance), way, *(f"{mean:.3f}" for mean in means), str(sum(map(len, overlaps)))])
     return Table(("a keyframe every", "boxes", "mean overlap", "above one half", "frames"), rows)

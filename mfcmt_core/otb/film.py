@@ -8,6 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from ..video import VideoError
+from ..video.write import VideoWriter
 from .dataset import Image, Sequence
 from .document import PALETTE
 from .errors import DataError
@@ -36,26 +38,22 @@ def strip(sequence: Sequence, boxes: Mapping[str, Array], frames: int = 6) -> Im
 
 def video(path: Path, sequence: Sequence, boxes: Mapping[str, Array], fps: float = 30.0) -> None:
     """Every frame with its boxes, as MP4. Raises DataError where it cannot be written."""
-    images = _film(sequence, boxes)
-    first = next(images)
-    height, width = first.shape[:2]
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, (width, height))
-    if not writer.isOpened():
-        raise DataError(f"{path}: this OpenCV cannot write MP4")
     try:
-        writer.write(first)
-        for image in images:
-            writer.write(image)
-    finally:
-        writer.release()
+        writer = VideoWriter(path, fps)
+        try:
+            for index, image in enumerate(_film(sequence, boxes)):
+                writer.write(image, index / fps)
+        finally:
+            writer.close()
+    except VideoError as failed:
+        raise DataError(str(failed)) from failed
 
 
 def _film(sequence: Sequence, boxes: Mapping[str, Array]) -> Iterator[Image]:
-    width = max(320, sequence.read(0).shape[1] // 2 * 2)
+    width = max(320, sequence.read(0).shape[1])
     legend = _legend(list(boxes), width)
     for index in range(len(sequence)):
-        image = np.vstack([_drawn(sequence, index, boxes, width), *legend])
-        yield image[: image.shape[0] // 2 * 2]  # the codec wants even sizes
+        yield np.vstack([_drawn(sequence, index, boxes, width), *legend])
 
 
 def _drawn(sequence: Sequence, index: int, boxes: Mapping[str, Array], width: int) -> Image:
