@@ -18,8 +18,17 @@ import numpy.typing as npt
 from .kernels.appearance import LENGTH, compare_box, describe_box, deviation_of_cells
 from .workspace import scratch
 
-SIGNALS = ("log_psr", "second_peak", "statistical_peak", "first_gradients", "first_colors", "log_contrast", "inside")
-"""What one frame says."""
+SIGNALS = (
+    "log_psr",
+    "second_peak",
+    "statistical_peak",
+    "first_gradients",
+    "first_colors",
+    "surroundings",
+    "log_contrast",
+    "inside",
+)
+"""What one frame says. ``surroundings`` is how like the box's colors are to those beside it: a background continues."""
 SLOW = ("log_psr", "second_peak", "first_gradients")
 """The signals whose slow means are taken: one blurred frame is no loss, ten are."""
 COLUMNS = (*SIGNALS, *(f"mean_{name}" for name in SLOW))
@@ -35,16 +44,17 @@ class Model:
 
 
 DEFAULT = Model(
-    bias=-16.1714,
+    bias=-11.2844,
     weights={
-        "statistical_peak": 4.3317,
-        "first_gradients": 2.5586,
-        "first_colors": 2.3315,
-        "log_contrast": 1.1145,
-        "inside": 6.7874,
-        "mean_log_psr": 0.7314,
-        "mean_second_peak": -3.6975,
-        "mean_first_gradients": 3.3841,
+        "statistical_peak": 1.3432,
+        "first_gradients": 2.3962,
+        "first_colors": 2.0427,
+        "surroundings": -2.7812,
+        "log_contrast": 1.0373,
+        "inside": 6.1604,
+        "mean_log_psr": 0.6874,
+        "mean_second_peak": -4.0716,
+        "mean_first_gradients": 3.0869,
     },
 )
 """For the maps of ``default()``."""
@@ -123,7 +133,21 @@ class Confidence:
         """
         if not self.known:  # restored from a snapshot without a look: this one takes the place of the first
             self.start(box)
-        deviation, gradients, colors = compare_box(
+        signals, is_flat = self._compare(maps, box)
+        self.judged = 1 if is_new else self.judged + 1
+        rate = max(SLOW_RATE, 1 / self.judged)
+        self.slow = [mean + rate * (signals[index] - mean) for mean, index in zip(self.slow, _SLOW, strict=True)]
+        self.signals = (*signals, *self.slow)
+        return self._weigh(self.signals, is_flat), is_flat
+
+    def estimate(self, maps: MapEvidence, box: BoxPixels) -> float:
+        """Return what :meth:`judge` would give for a box that does not go on from the last one, and change nothing."""
+        signals, is_flat = self._compare(maps, box)
+        return self._weigh((*signals, *(signals[index] for index in _SLOW)), is_flat)
+
+    def _compare(self, maps: MapEvidence, box: BoxPixels) -> tuple[tuple[float, ...], bool]:
+        """Return the signals of one frame, and whether the window is flat."""
+        deviation, gradients, colors, surroundings = compare_box(
             box.gray, box.bins, box.channels, box.left, box.top, box.width, box.height, self.first,
             scratch("look", (LENGTH,)),
         )  # fmt: skip
@@ -133,17 +157,17 @@ class Confidence:
             maps.statistical_peak,
             gradients,
             colors,
+            surroundings,
             log(deviation + 1),
             box.inside,
         )
-        self.judged = 1 if is_new else self.judged + 1
-        rate = max(SLOW_RATE, 1 / self.judged)
-        self.slow = [mean + rate * (signals[index] - mean) for mean, index in zip(self.slow, _SLOW, strict=True)]
-        self.signals = columns = (*signals, *self.slow)
+        return signals, _is_flat(box, deviation)
+
+    def _weigh(self, columns: tuple[float, ...], is_flat: bool) -> float:
+        """Return the probability that the logistic regression gives for signals and slow means."""
         score = self._bias + sum(weight * columns[index] for weight, index in zip(self._weights, WEIGHED, strict=True))
         confidence = 1 / (1 + exp(-min(max(score, -30.0), 30.0)))
-        is_flat = _is_flat(box, deviation)
-        return (min(confidence, NOTHING) if is_flat or self.blank else confidence), is_flat
+        return min(confidence, NOTHING) if is_flat or self.blank else confidence
 
 
 def _is_flat(box: BoxPixels, deviation: float) -> bool:

@@ -101,6 +101,9 @@ class MFCMTConfig:
     """Number of unreliable frames in a row after which the target is lost. 0: never."""
     found_threshold: float = 0.6
     """A lost target is found in a reliable frame whose peaks both exceed this multiple of their long-term means."""
+    search_after: int = 4
+    """Number of frames in a row with a confidence below ``lost_threshold`` after which the whole frame is searched for
+    the target. 0: only once the target is lost."""
     doubt_threshold: float = 0.6
     """Probe other places, too, if the template peak is below this multiple of its long-term mean. 0: never."""
     doubt_margin: float = 2.0
@@ -160,6 +163,7 @@ class MFCMTConfig:
             statistical_weight=1.0,
             usual_threshold=0.0,
             lost_after=0,
+            search_after=0,
             tracking_threshold=0.0,
             lost_threshold=0.0,
             hysteresis=0.0,
@@ -259,6 +263,7 @@ _RANGES: dict[str, tuple[type, float, float]] = {
     "usual_threshold": (float, 0, 1),
     "usual_frames": (int, 1, 1_000_000),
     "lost_after": (int, 0, 1_000_000),
+    "search_after": (int, 0, 1_000_000),
     "found_threshold": (float, 0, 10),
     "doubt_threshold": (float, 0, 1),
     "doubt_margin": (float, 1, 1e3),

@@ -235,6 +235,13 @@ class SearchWindow:
         return (center[0] + step, center[1]) if side % 2 == 0 else (center[0], center[1] + step)
 
 
+def convert_channels(pixels: Image, to_gray: bool) -> Image:
+    """Return the pixels as gray (H, W) or BGR (H, W, 3); the array itself if it is so already."""
+    if to_gray == (pixels.ndim == 2):
+        return pixels
+    return cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY if to_gray else cv2.COLOR_GRAY2BGR)  # type: ignore[return-value]
+
+
 def clip_rect(rect: Rect, frame_size: tuple[int, int]) -> Rect:
     """Return the part of ``rect`` inside the frame, at least one pixel."""
     x, y, w, h = rect

@@ -70,8 +70,17 @@ class Reliability:
         self.tracking = confidence >= self.config.tracking_threshold
         return "tracking" if self.tracking else "uncertain"
 
-    def judge(self, peaks: Peaks, confidence: float) -> Verdict:
-        """Return the verdict on a frame and add its peaks to the history; ``confidence`` is that in its candidate."""
+    @property
+    def searching(self) -> bool:
+        """Whether the next frame is searched as a whole: the target is lost, or the confidence has been low."""
+        after = self.config.search_after
+        return self.lost or 0 < after <= self.low_run
+
+    def judge(self, peaks: Peaks, confidence: float, is_jump: bool = False) -> Verdict:
+        """Return the verdict on a frame and add its peaks to the history.
+
+        ``confidence`` is that in its candidate, and ``is_jump`` says that the search of the whole frame found it.
+        """
         c = self.config
         values = (peaks.fused, peaks.template, peaks.statistical)
         # a flat history (mean 0) and an empty one test nothing
@@ -92,7 +101,9 @@ class Reliability:
             self.tracking, is_low = passed, not passed
         self.unreliable_run = 0 if passed else self.unreliable_run + 1
         self.low_run = self.low_run + 1 if is_low else 0
-        if self.lost:
+        if is_jump:
+            self.lost, self.low_run = False, 0
+        elif self.lost:
             self.lost = not self.tracking or any(self._is_low(peaks, c.found_threshold))
         elif c.lost_after and self.low_run >= c.lost_after:
             self.lost = True

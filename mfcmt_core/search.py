@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from operator import attrgetter
 
 import numpy as np
 import numpy.typing as npt
@@ -13,12 +13,16 @@ from .config import MFCMTConfig
 from .fusion import fuse
 from .geometry import Frame, Rect
 from .kernels.fusion import second_peak_ratio
-from .redetection import propose, second_peak
+from .redetection import propose_by_color, second_peak
 from .reliability import Peaks
 from .target import Crop, Observation, Point, Target
 
 LEAVE_OUT = 4
 """Cells on each side of a fused map's peak in which no second one is looked for, see :class:`MapEvidence`."""
+MIN_CONFIDENCE = 0.5
+"""Lowest confidence at which a place that the search of the whole frame proposed is taken: more likely than not."""
+MIN_ADVANTAGE = 0.2
+"""How much higher that must be than the confidence at the last place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +38,14 @@ class Detection:
 class Candidate:
     """A probed place: the window observed there and what was detected in it.
 
-    ``recentered`` is the window around the detection, if that was observed too.
+    ``recentered`` is the window around the detection, if that was observed too. ``jump_scale`` is the target's scale
+    there if the search of the whole frame found it, and None if the box goes on from the last one.
     """
 
     observation: Observation
     detection: Detection
     recentered: Observation | None = None
+    jump_scale: float | None = None
 
     @property
     def peaks(self) -> Peaks:
@@ -61,14 +67,14 @@ class Search:
     def run(self) -> Candidate:
         """Return the candidate that gives this frame's result (lines 2–7 of Algorithm 1).
 
-        The last place is probed first. Further places are probed only if the target is lost or its template peak is
-        low: the middle of the found peak, then one other place. :attr:`Target.runner_up` and
-        ``reliability.template_low`` carry over to the next frame.
+        The last place is probed first. Further places are probed only if the confidence has been low, in the whole
+        frame, or if the template peak is low: the middle of the found peak, then one other place.
+        :attr:`Target.runner_up` and ``reliability.template_low`` carry over to the next frame.
         """
         target, reliability = self.target, self.target.reliability
         runner_up, target.runner_up = target.runner_up, None
         here = self.probe(target.center)
-        if reliability.lost:
+        if reliability.searching:
             return self._redetect(here)
         was_low, reliability.template_low = reliability.template_low, False
         if not reliability.is_template_low(here.peaks):
@@ -91,15 +97,38 @@ class Search:
         return here
 
     def _redetect(self, here: Candidate) -> Candidate:
-        """Search the whole frame by color, and return the better of the place found and the last place.
+        """Return the best of the places that the whole frame has to offer, or ``here`` if none is clearly better.
 
-        The better place is probed twice, so that the second window has its surroundings in the middle.
+        A place is probed twice where its peak is off the middle, so that the second window has its surroundings. The
+        confidence decides, because it is absolute: the peaks only compare a place with the past of another.
         """
-        target, best = self.target, here
+        target, last_scale = self.target, self.target.scale
+        own = self._confidence(here)
+        best, highest = here, max(MIN_CONFIDENCE, own + MIN_ADVANTAGE)
+        for place, scale in self._proposals():
+            target.scale = scale
+            found = self.probe(place)
+            if not found.observation.is_central(found.detection.center):
+                found = self.probe(found.detection.center)
+            confidence = self._confidence(found)
+            if confidence > highest:
+                best, highest = replace(found, jump_scale=scale), confidence
+        target.scale = last_scale
+        return best
+
+    def _proposals(self) -> Iterator[tuple[Point, float]]:
+        """Yield places (x, y) in the whole frame, and the target's scale there."""
+        target, scale = self.target, self.target.scale
         if target.color:
-            proposed = self.probe(propose(target.color, self.frame, target.base_size, target.scale))
-            best = max(here, proposed, key=attrgetter("strength"))
-        return self.probe(best.detection.center)
+            yield propose_by_color(target.color, self.frame, target.base_size, scale), scale
+        if proposal := target.looks.propose(self.frame, target.base_size, scale):
+            yield proposal
+
+    def _confidence(self, candidate: Candidate) -> float:
+        """Return the confidence in a candidate as the first one of its place."""
+        target, detection = self.target, candidate.detection
+        box = target.box_pixels(candidate.observation.crop, detection.center, self.frame.size)
+        return target.confidence.estimate(detection.evidence, box)
 
     def _other_place(self, observation: Observation, was_low: bool, runner_up: Point | None) -> Point | None:
         """Return the one other place to probe in a frame with a low template peak.

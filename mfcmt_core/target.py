@@ -13,7 +13,8 @@ from .confidence import BoxPixels, Confidence
 from .config import MFCMTConfig
 from .features import usable_cues
 from .fourier import Spectra
-from .geometry import CELL, Frame, Image, Patch, Rect, SearchWindow
+from .geometry import CELL, Frame, Image, Patch, Rect, SearchWindow, convert_channels
+from .redetection import Looks
 from .reliability import Reliability
 from .result import Box
 from .scale import ScaleModel
@@ -98,6 +99,7 @@ class Target:
         self.scale_model = ScaleModel(config, base_size) if config.num_scales > 1 else None
         self.reliability = Reliability(config)
         self.confidence = Confidence()
+        self.looks = Looks()
         self.learn_within = config.learn_within
         self.largest_step = config.scale_step * (1 + 1e-6)  # rounding
         names = (self.template.names if self.template else ()) + (("statistical",) if self.color else ())
@@ -206,10 +208,3 @@ def is_gray(pixels: Image) -> bool:
     blue, green, red = cv2.split(pixels)
     worst = max(int(cv2.absdiff(blue, green).max()), int(cv2.absdiff(green, red).max()))
     return worst <= GRAY_TOLERANCE
-
-
-def convert_channels(pixels: Image, to_gray: bool) -> Image:
-    """Return the pixels as gray (H, W) or BGR (H, W, 3); the array itself if it is so already."""
-    if to_gray == (pixels.ndim == 2):
-        return pixels
-    return cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY if to_gray else cv2.COLOR_GRAY2BGR)  # type: ignore[return-value]

@@ -20,6 +20,8 @@ The target may move by an eighth of the window and still be learned with all of 
 further, the border pixels of the region are repeated."""
 WIDE_REGION_FACTOR = 2.0
 """The same after a frame with a low template peak: this region holds the neighboring windows on all four sides."""
+SURE = 0.75
+"""Confidence from which on a learned frame shows what the target looks like now, for the search of whole frames."""
 MOTION_MARGIN = 0.5
 """Margin that :meth:`MFCMT.region` adds on each side per frame in flight, as a fraction of the target's side."""
 
@@ -103,7 +105,9 @@ class MFCMT:
         target.learn(observation, first=True)
         if model := target.scale_model:
             model.learn(model.spectra(frame, readable, center, 1.0), first=True)
-        confidence = target.confidence.start(target.box_pixels(observation.crop, center, frame.size))
+        pixels = target.box_pixels(observation.crop, center, frame.size)
+        confidence = target.confidence.start(pixels)
+        target.looks.remember(pixels)
         self._target, self._frame_size = target, frame.size
         return TrackResult(
             box=(x, y, w, h),
@@ -162,9 +166,12 @@ class MFCMT:
         candidate = self._search(target, frame, readable)
         map_copies = copy_maps(self.config, target, frame, candidate.observation) if maps else None
         detection = candidate.detection
+        is_jump = candidate.jump_scale is not None
+        target.scale = candidate.jump_scale or target.scale
         pixels = target.box_pixels(candidate.observation.crop, detection.center, frame.size)
-        confidence, is_flat = target.confidence.judge(detection.evidence, pixels, is_new=target.reliability.lost)
-        verdict = target.reliability.judge(candidate.peaks, confidence)
+        is_new = is_jump or target.reliability.lost
+        confidence, is_flat = target.confidence.judge(detection.evidence, pixels, is_new)
+        verdict = target.reliability.judge(candidate.peaks, confidence, is_jump)
         if verdict.status == "lost":
             target.center = target.last_reliable_center  # whatever peaked since then was noise
         elif not (is_flat and self.config.tracking_threshold):  # a flat map has its peak anywhere
@@ -173,6 +180,8 @@ class MFCMT:
         if verdict.learnable:
             target.last_reliable_center = target.center
             self._learn(target, frame, readable, candidate)
+            if confidence >= SURE:
+                target.looks.remember(pixels)
         return TrackResult(
             box=target.box,
             status=verdict.status,
@@ -215,7 +224,7 @@ class MFCMT:
         Returns
         -------
         (int, int, int, int)
-            ``(x, y, w, h)`` in pixels of the frame; the whole frame while the target is lost.
+            ``(x, y, w, h)`` in pixels of the frame; the whole frame while that is searched for the target.
 
         Raises
         ------
@@ -223,7 +232,7 @@ class MFCMT:
             If :meth:`init` was not called.
         """
         target = self._require_target()
-        if target.reliability.lost:
+        if target.reliability.searching:
             return (0, 0, *self._frame_size)
         factor = WIDE_REGION_FACTOR if target.reliability.template_low else REGION_FACTOR
         return clip_rect(target.search_window.rect(target.center, target.scale, factor), self._frame_size)

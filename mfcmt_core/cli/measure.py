@@ -42,7 +42,7 @@ STAGES: tuple[tuple[str, Any, str], ...] = (
     ("template learning", TemplateModel, "learn"),
     ("colour learning", ColorModel, "learn"),
     ("scale learning", ScaleModel, "learn"),
-    ("re-detection", search, "propose"),
+    ("re-detection", search.Search, "_redetect"),
     ("everything else", tracker.MFCMT, "update"),
 )
 """Name and function of each stage, in the order of Algorithm 1. Time in an inner stage counts only there."""

@@ -124,14 +124,26 @@ def describe_box(gray, bins, channels, left, top, width, height, look):  # type:
 
 @kernel
 def compare_box(gray, bins, channels, left, top, width, height, first, look):  # type: ignore[no-untyped-def]
-    """``look`` ← the box. Returns the deviation of its gray pixels and its likeness to ``first``: gradients, colors."""
+    """``look`` ← the box. Returns the deviation of its gray pixels, and three likenesses.
+
+    These are that of its gradients to those of ``first``, of its colors to those of ``first``, and of its colors to
+    those beside it: the mean over the boxes of its size on its four sides.
+    """
     deviation = describe_box(gray, bins, channels, left, top, width, height, look)
     gradients, colors = np.float32(0), np.float32(0)
     for k in range(GRADIENTS):
         gradients += look[k] * first[k]
     for k in range(GRADIENTS, LENGTH):
         colors += look[k] * first[k]
-    return deviation, np.float64(gradients), np.float64(colors)
+    beside = np.float32(0)
+    neighbor = np.empty(COLORS, np.float32)
+    for side in range(4):
+        step = np.float64(side // 2 * 2 - 1)
+        x, y = (step * width, 0.0) if side % 2 else (0.0, step * height)
+        describe_colors(bins, channels, left + x, top + y, width, height, neighbor)
+        for k in range(COLORS):
+            beside += neighbor[k] * look[GRADIENTS + k]
+    return deviation, np.float64(gradients), np.float64(colors), np.float64(beside / 4)
 
 
 @kernel
