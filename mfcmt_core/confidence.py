@@ -44,17 +44,18 @@ class Model:
 
 
 DEFAULT = Model(
-    bias=-11.2844,
+    bias=-11.2752,
     weights={
-        "statistical_peak": 1.3432,
-        "first_gradients": 2.3962,
-        "first_colors": 2.0427,
-        "surroundings": -2.7812,
-        "log_contrast": 1.0373,
-        "inside": 6.1604,
-        "mean_log_psr": 0.6874,
-        "mean_second_peak": -4.0716,
-        "mean_first_gradients": 3.0869,
+        "second_peak": -1.5541,
+        "statistical_peak": 1.3079,
+        "first_gradients": 2.0992,
+        "first_colors": 2.0617,
+        "surroundings": -2.8505,
+        "log_contrast": 1.0360,
+        "inside": 6.4597,
+        "mean_log_psr": 0.6196,
+        "mean_second_peak": -2.6631,
+        "mean_first_gradients": 3.3960,
     },
 )
 """For the maps of ``default()``."""

@@ -101,7 +101,7 @@ class Reliability:
             self.tracking, is_low = passed, not passed
         self.unreliable_run = 0 if passed else self.unreliable_run + 1
         self.low_run = self.low_run + 1 if is_low else 0
-        if is_jump:
+        if is_jump and c.tracking_threshold:
             self.lost, self.low_run = False, 0
         elif self.lost:
             self.lost = not self.tracking or any(self._is_low(peaks, c.found_threshold))
@@ -114,6 +114,10 @@ class Reliability:
         status: Status = "lost" if self.lost else "tracking" if self.tracking else "uncertain"
         learnable = passed and not self.lost and confidence >= c.learn_threshold
         return Verdict(flags, scores, confidence, passed and self.tracking, learnable, status)
+
+    def is_peak_low(self, peaks: Peaks) -> bool:
+        """Return True if a peak is below ``usual_threshold`` of its long-term mean."""
+        return any(self._is_low(peaks, self.config.usual_threshold))
 
     def is_template_low(self, peaks: Peaks) -> bool:
         """Return True if the template peak is below ``doubt_threshold`` of its long-term mean."""

@@ -19,8 +19,10 @@ from .target import Crop, Observation, Point, Target
 
 LEAVE_OUT = 4
 """Cells on each side of a fused map's peak in which no second one is looked for, see :class:`MapEvidence`."""
-MIN_CONFIDENCE = 0.5
-"""Lowest confidence at which a place that the search of the whole frame proposed is taken: more likely than not."""
+MIN_CONFIDENCE = 0.6
+"""Lowest confidence at which a place that the search of the whole frame proposed is taken.
+
+It is the best of many places in many frames, so it must be more than just likely."""
 MIN_ADVANTAGE = 0.2
 """How much higher that must be than the confidence at the last place."""
 
@@ -97,22 +99,23 @@ class Search:
         return here
 
     def _redetect(self, here: Candidate) -> Candidate:
-        """Return the best of the places that the whole frame has to offer, or ``here`` if none is clearly better.
+        """Return the best of the places that the whole frame has to offer, or ``here`` if none is better.
 
-        A place is probed twice where its peak is off the middle, so that the second window has its surroundings. The
-        confidence decides, because it is absolute: the peaks only compare a place with the past of another.
+        A place is probed twice where its peak is off the middle, so that the second window has its surroundings. Its
+        peaks must not be low, and the confidence in it must be clearly higher than in ``here``.
         """
         target, last_scale = self.target, self.target.scale
-        own = self._confidence(here)
-        best, highest = here, max(MIN_CONFIDENCE, own + MIN_ADVANTAGE)
+        best, highest = here, self._merit(here)
+        if self.config.tracking_threshold:
+            highest = max(MIN_CONFIDENCE, highest + MIN_ADVANTAGE)
         for place, scale in self._proposals():
             target.scale = scale
             found = self.probe(place)
             if not found.observation.is_central(found.detection.center):
                 found = self.probe(found.detection.center)
-            confidence = self._confidence(found)
-            if confidence > highest:
-                best, highest = replace(found, jump_scale=scale), confidence
+            merit = self._merit(found)
+            if merit > highest and not target.reliability.is_peak_low(found.peaks):
+                best, highest = replace(found, jump_scale=scale), merit
         target.scale = last_scale
         return best
 
@@ -124,9 +127,11 @@ class Search:
         if proposal := target.looks.propose(self.frame, target.base_size, scale):
             yield proposal
 
-    def _confidence(self, candidate: Candidate) -> float:
-        """Return the confidence in a candidate as the first one of its place."""
+    def _merit(self, candidate: Candidate) -> float:
+        """Return by what candidates are compared: the confidence, or where that does not decide, the peaks."""
         target, detection = self.target, candidate.detection
+        if not self.config.tracking_threshold:
+            return detection.peaks.template * detection.peaks.statistical
         box = target.box_pixels(candidate.observation.crop, detection.center, self.frame.size)
         return target.confidence.estimate(detection.evidence, box)
 

@@ -27,10 +27,16 @@ if TYPE_CHECKING:
 FORMAT = "mfcmt-tracker"
 VERSION = 5
 WITHOUT_CONFIDENCE = 4
-"""A version that is read but not written. It held no look of the first frame; the next frame gives one."""
+"""A version that is read but not written. It held no look of the target; later frames give them."""
 WITH_REAL_WAVES = 3
 """The version before that, read as well. It held the scale filter as real waves, and no ``anchor``."""
-_STATUS_BY_TESTS = {"tracking_threshold": 0.0, "lost_threshold": 0.0, "hysteresis": 0.0, "learn_threshold": 0.0}
+_STATUS_BY_TESTS = {
+    "search_after": 0,
+    "tracking_threshold": 0.0,
+    "lost_threshold": 0.0,
+    "hysteresis": 0.0,
+    "learn_threshold": 0.0,
+}
 MISSING_CONFIG: dict[int, dict[str, float]] = {
     VERSION: {},
     WITHOUT_CONFIDENCE: _STATUS_BY_TESTS,
@@ -61,6 +67,7 @@ class State:
     frames_since_scale_search: int
     reliability: dict[str, Any]
     confidence: dict[str, Any]
+    looks: dict[str, Any]
     arrays: dict[str, Any]
 
 
@@ -90,6 +97,7 @@ def dump(config: MFCMTConfig, target: Target, frame_size: tuple[int, int]) -> by
             "low_run": r.low_run,
         },
         "confidence": {"slow": list(c.slow), "judged": c.judged, "known": c.known, "blank": c.blank},
+        "looks": {"known": target.looks.known, "turn": target.looks.turn},
         "arrays": {name: _pack(array) for name, array in _arrays(target).items()},
     }
     data: bytes = msgpack.packb(document)
@@ -133,6 +141,7 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
             "low_run": _integer(r["low_run" if version == VERSION else "unreliable_run"], 0, 1 << 62),
         }
         confidence = _confidence(document["confidence"]) if version == VERSION else {}
+        looks = _looks(document["looks"]) if version == VERSION else {}
         scale = _number(document["scale"], 1e-6, 1e10)
         # the first snapshots of this version had neither: the scale was searched in every N-th learned frame
         runner_up = document.get("rival")
@@ -148,6 +157,7 @@ def parse(data: bytes) -> tuple[MFCMTConfig, State, tuple[int, int]]:
             _integer(waited, 0, 1 << 62),
             reliability,
             confidence,
+            looks,
             dict(document["arrays"]),
         )
     except (KeyError, TypeError, ValueError, BadConfig) as error:
@@ -170,6 +180,8 @@ def restore(target: Target, state: State) -> None:
         setattr(target.reliability, name, value)
     for name, value in state.confidence.items():
         setattr(target.confidence, name, value)
+    for name, value in state.looks.items():
+        setattr(target.looks, name, value)
     if target.scale_model and state.version == WITH_REAL_WAVES:
         waves, sums, energy = (expected[name] for name in ("scale_waves", "scale_sums", "scale_energy"))
         target.scale_model.load_real_waves(waves, sums, energy)
@@ -194,14 +206,16 @@ def _arrays(target: Target) -> dict[str, npt.NDArray[Any]]:
         arrays |= {"histograms": c.histograms, "histogram_gain": c.decay_scale}
     if s := target.scale_model:
         arrays |= {"scale_mean": s.numerator, "scale_energy": s.energy}
-    return arrays | {"first_look": target.confidence.first}
+    looks = {"search_look_first": target.looks.first, "search_look_latest": target.looks.latest}
+    return arrays | {"first_look": target.confidence.first} | looks
 
 
 def _arrays_of(version: int, target: Target) -> dict[str, npt.NDArray[Any]]:
     """Return the arrays that a snapshot of this version holds, by name."""
     arrays = _arrays(target)
     if version != VERSION:
-        del arrays["first_look"]
+        for name in ("first_look", "search_look_first", "search_look_latest"):
+            del arrays[name]
     if version == WITH_REAL_WAVES and target.scale_model:  # as ScaleModel.load_real_waves takes them
         cells, channels, half = arrays.pop("scale_mean").shape
         lanes = -(-(half - 1) // LANES) * LANES
@@ -273,6 +287,10 @@ def _confidence(fields: Any) -> dict[str, Any]:
         raise ValueError(f"not {len(SLOW)} slow means")
     judged = _integer(fields["judged"], 0, 1 << 62)
     return {"slow": slow, "judged": judged} | {name: _boolean(fields[name]) for name in ("known", "blank")}
+
+
+def _looks(fields: Any) -> dict[str, Any]:
+    return {"known": _boolean(fields["known"]), "turn": _integer(fields["turn"], 0, 1 << 62)}
 
 
 def _boolean(value: Any) -> bool:

@@ -166,14 +166,14 @@ class MFCMT:
         candidate = self._search(target, frame, readable)
         map_copies = copy_maps(self.config, target, frame, candidate.observation) if maps else None
         detection = candidate.detection
-        is_jump = candidate.jump_scale is not None
-        target.scale = candidate.jump_scale or target.scale
+        is_jump, last_scale = candidate.jump_scale is not None, target.scale
+        target.scale = candidate.jump_scale or last_scale
         pixels = target.box_pixels(candidate.observation.crop, detection.center, frame.size)
         is_new = is_jump or target.reliability.lost
         confidence, is_flat = target.confidence.judge(detection.evidence, pixels, is_new)
         verdict = target.reliability.judge(candidate.peaks, confidence, is_jump)
         if verdict.status == "lost":
-            target.center = target.last_reliable_center  # whatever peaked since then was noise
+            target.center, target.scale = target.last_reliable_center, last_scale  # what peaked since then was noise
         elif not (is_flat and self.config.tracking_threshold):  # a flat map has its peak anywhere
             target.center = detection.center
             self._update_scale(target, frame, readable, verdict)

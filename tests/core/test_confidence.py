@@ -47,14 +47,14 @@ def test_a_look_is_like_itself_and_has_two_parts_of_norm_one(texture):
     assert [len(p) for p in parts] == [GRADIENTS, COLORS]
     assert [float(p @ p) for p in parts] == pytest.approx([1, 1], abs=1e-4)
     assert deviation == pytest.approx(texture[30:80, 20:60].std(), rel=0.15)
-    assert likeness(texture, box, look)[1:] == pytest.approx([1, 1], abs=1e-4)
+    assert likeness(texture, box, look)[1:3] == pytest.approx([1, 1], abs=1e-4)
 
 
 def test_light_and_contrast_do_not_change_gradients(texture):
     box = (20, 30, 40, 50)
     look, _ = look_of(texture, box)
     darker = (texture // 2 + 40).astype(np.uint8)
-    _, gradients, colors = likeness(darker, box, look)
+    _, gradients, colors, _ = likeness(darker, box, look)
     assert gradients > 0.95
     assert colors < 0.9
 
@@ -62,6 +62,15 @@ def test_light_and_contrast_do_not_change_gradients(texture):
 def test_another_place_is_less_alike(texture):
     look, _ = look_of(texture, (10, 10, 40, 40))
     assert likeness(texture, (70, 70, 40, 40), look)[1] < 0.8
+
+
+def test_colors_that_go_on_beside_the_box_are_like_their_surroundings():
+    wall = np.full((100, 100), 200, np.uint8)
+    look, _ = look_of(wall, (40, 40, 20, 20))
+    assert likeness(wall, (40, 40, 20, 20), look)[3] == pytest.approx(1)
+    wall[40:60, 40:60] = 40
+    assert likeness(wall, (40, 40, 20, 20), look)[3] == 0
+    assert likeness(wall, (50, 40, 20, 20), look)[3] == pytest.approx(0.75, abs=0.15)
 
 
 def test_a_box_at_the_border_repeats_it(texture):
@@ -102,7 +111,8 @@ def test_second_peak_over_the_first():
 
 def test_more_of_a_good_sign_never_lowers_the_confidence():
     assert set(DEFAULT.weights) <= set(COLUMNS)
-    assert [name for name, weight in DEFAULT.weights.items() if weight < 0] == ["mean_second_peak"]
+    bad_signs = {"second_peak", "mean_second_peak", "surroundings"}
+    assert {name for name, weight in DEFAULT.weights.items() if weight < 0} == bad_signs
 
 
 @pytest.mark.parametrize("preset", PRESETS)

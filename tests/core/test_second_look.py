@@ -197,5 +197,5 @@ def test_a_runner_behind_a_pole_is_found_again(otb_root):
     frames, boxes = [sequence.read(i) for i in range(160)], sequence.boxes
     _, results = follow(DEFAULT, frames, boxes, 160)
     assert overlap(boxes_of(results[-20:]), boxes[140:160]).min() > 0.4
-    _, blind = follow(DEFAULT.replace(doubt_threshold=0.0), frames, boxes, 160)
+    _, blind = follow(DEFAULT.replace(doubt_threshold=0.0, search_after=0), frames, boxes, 160)
     assert overlap(boxes_of(blind[-20:]), boxes[140:160]).max() < 0.1

@@ -25,8 +25,10 @@ def as_version_4(tracker):
     """Return the document as version 4 wrote it: no look, no confidence and no parameters of it."""
     document = msgpack.unpackb(tracker.to_bytes())
     document["version"] = 4
-    del document["confidence"], document["reliability"]["tracking"], document["reliability"]["low_run"]
-    del document["arrays"]["first_look"]
+    del document["confidence"], document["looks"]
+    del document["reliability"]["tracking"], document["reliability"]["low_run"]
+    for name in ("first_look", "search_look_first", "search_look_latest"):
+        del document["arrays"][name]
     for name in MISSING_CONFIG[4]:
         del document["config"][name]
     return document
