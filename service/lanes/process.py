@@ -39,6 +39,8 @@ PIPELINE = 2
 # Behind a long call nothing is sent: which call is next is decided when it is done, and the hand-over costs little in
 # comparison. A call counts as long as the longest recent one of its key, in processor time; the first counts as long.
 SHORT_S = 0.01
+# A lane moves as much of a large reply between two operations; the system may allow less.
+SOCKET_BYTES = 2 << 20
 DECAY = 0.7
 
 
@@ -79,6 +81,8 @@ class LaneProcess(asyncio.Protocol):
         """Fork the worker. The first fork waits for the fork server to load and warm the tracker."""
         self.since = time.monotonic()
         ours, theirs = socket.socketpair()
+        for end in (ours, theirs):
+            end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BYTES)
         with theirs:
             # multiprocessing pickles these arguments for its own child at the start; nothing is pickled later.
             process = context.Process(
