@@ -232,9 +232,11 @@ def test_a_box_is_drawn_with_the_keyboard_alone(browser, command):
     assert page.complaints == []
 
 
-def test_a_used_address_says_so(browser, command):
-    _, address = command
-    opened(browser, address)
-    page = browser.new_context().new_page()
-    page.goto(address)
-    says(page, "used already")
+def test_a_used_address_says_so_and_the_first_page_goes_on(browser, command):
+    process, address = command
+    first, second = opened(browser, address), browser.new_context().new_page()
+    second.goto(address)
+    says(second, "used already")
+    first.keyboard.press("ArrowRight")
+    first.keyboard.press("Enter")
+    assert first_box(process) == [128, 96, 64, 48]

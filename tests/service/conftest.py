@@ -19,10 +19,14 @@ def clip() -> Clip:
     return open_clip(david, None, 60) if david.is_dir() else sample(60)
 
 
+# Ample: on a busy machine a lane may get no processor for seconds, and would be replaced as one that hangs.
+DEADLINE = {"operation_deadline_s": 60}
+
+
 @pytest.fixture(scope="session")
 def server() -> Iterator[OwnServer]:
-    """Two lanes with the default limits; shared by all tests that need nothing else."""
-    with OwnServer(lanes=2, max_sessions_per_lane=64, log_level="debug") as own:
+    """Two lanes with the default limits but for the deadline; shared by all tests that need nothing else."""
+    with OwnServer(lanes=2, max_sessions_per_lane=64, log_level="debug", **DEADLINE) as own:
         yield own
 
 
@@ -32,6 +36,6 @@ def own_server() -> Iterator[Callable[..., OwnServer]]:
     with ExitStack() as stack:
 
         def start(**settings: object) -> OwnServer:
-            return stack.enter_context(OwnServer(**{"lanes": 1} | settings))
+            return stack.enter_context(OwnServer(**{"lanes": 1} | DEADLINE | settings))
 
         yield start

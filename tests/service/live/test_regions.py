@@ -97,7 +97,8 @@ async def test_bit_equal(server: OwnServer, client: AsyncClient, clip: Clip, pla
 async def test_one_frame_in_flight(client: AsyncClient, clip: Clip) -> None:
     """The region leaves room for a frame that is not answered yet (``region_lag`` is 1)."""
     images = images_of(clip)
-    await follow(images[1:], *await pair(client, images[0], [clip.box]), lag=1)
+    results = await follow(images[1:], *await pair(client, images[0], [clip.box]), lag=1)
+    assert [result.seq for result in results] == list(range(1, len(images)))
 
 
 async def test_what_is_outside_does_not_matter(client: AsyncClient, clip: Clip) -> None:

@@ -115,7 +115,7 @@ def test_targets_are_counted_and_have_different_ids(store: LaneOperations, sound
     many = [[[n, *first[0][1:]], first[1]] for n in range(5)]
     assert not restored(store, pack(sound | {"targets": many, "next_id": 9}))
     swapped = [[first[0], second[1]], [second[0], first[1]]]
-    restored(store, pack(sound | {"targets": swapped}))
+    assert restored(store, pack(sound | {"targets": swapped}))
 
 
 @pytest.mark.parametrize(
@@ -161,6 +161,7 @@ def test_fuzz_a_value_inside(store: LaneOperations, sound: dict[str, Any], data:
     if inside_tracker:
         contents["targets"][0][1] = msgpack.packb(root)
     restored(store, pack(contents))
+    assert restored(store, pack(sound))
 
 
 def test_fuzz_bytes(store: LaneOperations, sound: dict[str, Any]) -> None:
@@ -171,6 +172,7 @@ def test_fuzz_bytes(store: LaneOperations, sound: dict[str, Any]) -> None:
         for _ in range(chance.choice((1, 1, 3, 20))):
             broken[chance.randrange(len(broken))] = chance.randrange(256)
         restored(store, bytes(broken[: chance.choice((len(broken), chance.randrange(len(broken))))]))
+    assert restored(store, pack(sound))
 
 
 def test_first_snapshots_kept_label_and_idle_time_apart(store: LaneOperations, sound: dict[str, Any]) -> None:
