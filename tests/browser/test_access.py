@@ -95,8 +95,8 @@ async def test_the_page_works_on_a_phone(open_page: Open, artefacts: Path) -> No
         touch = await user.page.context.new_cdp_session(user.page)
 
         async def finger(kind: str, *points: tuple[float, float]) -> None:
-            told = [{"x": x, "y": y} for x, y in points]
-            await touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": told})
+            touches = [{"x": x, "y": y} for x, y in points]
+            await touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": touches})
 
         await finger("touchStart", (left, top))
         await finger("touchMove", ((left + right) / 2, (top + bottom) / 2))

@@ -116,15 +116,15 @@ async def test_targets_of_the_sample_clip_are_added_corrected_and_removed(open_p
         await user.page.screenshot(path=artefacts / "two-targets.png")
 
         await user.page.keyboard.press("Space")
-        told = await user.boxes()
-        x, y, w, h = told["frames"][-1]["targets"][0]["box"]
+        exported = await user.boxes()
+        x, y, w, h = exported["frames"][-1]["targets"][0]["box"]
         truth = synthetic.clip("sample").boxes
-        assert iou((x, y, w, h), truth[round(told["frames"][-1]["time_s"] * 30) % 300]) > 0.6
+        assert iou((x, y, w, h), truth[round(exported["frames"][-1]["time_s"] * 30) % 300]) > 0.6
         await user.page.keyboard.press("1")
         await user.draw((x + 3, y + 3, w, h))
         await user.until("document.getElementById('log').innerText.includes('corrected')")
-        told = await user.boxes()
-        assert told["frames"][-1]["targets"][0]["box"] == pytest.approx((x + 3, y + 3, w, h), abs=1.5)
+        exported = await user.boxes()
+        assert exported["frames"][-1]["targets"][0]["box"] == pytest.approx((x + 3, y + 3, w, h), abs=1.5)
 
         await user.page.click("#targets li[data-target='2'] .icon")
         await user.until("document.querySelectorAll('#targets li').length === 1")
@@ -139,8 +139,8 @@ async def test_lossless_answers_every_frame_of_a_file(open_page: Open) -> None:
         await user.follow_sample(45)
         await user.page.keyboard.press("Space")
         await user.page.keyboard.press(".")
-        told = await user.boxes()
-        times = [frame["time_s"] for frame in told["frames"]]
+        exported = await user.boxes()
+        times = [frame["time_s"] for frame in exported["frames"]]
         assert all(b - a == pytest.approx(1 / 30, abs=2e-3) for a, b in pairwise(times)), times
         assert await user.page.inner_text("#stat-dropped") == "0"
 
@@ -169,9 +169,9 @@ async def test_a_video_file_is_tracked_to_its_end(open_page: Open, camera_frames
         await user.until("document.documentElement.dataset.state === 'open'")
         await user.draw((129, 80, 64, 78))
         await user.until("document.getElementById('hint').innerText.includes('End of the video')")
-        told = await user.boxes()
-        assert len(told["frames"]) == 50
-        assert (told["frames"][0]["size"], told["source"]) == ([320, 240], "david.webm")
+        exported = await user.boxes()
+        assert len(exported["frames"]) == 50
+        assert (exported["frames"][0]["size"], exported["source"]) == ([320, 240], "david.webm")
         lines = list(csv.DictReader((await user.export("csv")).read_text().splitlines()))
         assert [float(line["time_s"]) for line in lines] == pytest.approx([i / 25 for i in range(50)], abs=2e-3)
         assert {line["target"] for line in lines} == {"1"}

@@ -32,13 +32,13 @@ def test_nothing_is_lost_and_nothing_differs(clip: Clip) -> None:
 def test_what_the_command_says() -> None:
     seconds = {"SIGKILL": [0.12, 0.2], "SIGTERM": [3.0]}
     report = Report(Plan(10, 30, 2, 2, 1, 1), {"SIGKILL": 2, "SIGTERM": 1}, seconds, 500, 0, {}, 400, 0, [12], 11.2)
-    told = "\n".join(lines(report, "sample"))
-    assert "results lost       0 of 500" in told
-    assert "boxes that differ  0 of 400" in told
-    assert "SIGKILL to next result  median    160 ms, max    200 ms" in told
-    assert "SIGTERM to resumed" in told
-    assert "at most 12 frames" in told
-    assert "every session was 11 s old at the first restart" in told
+    printed = "\n".join(lines(report, "sample"))
+    assert "results lost       0 of 500" in printed
+    assert "boxes that differ  0 of 400" in printed
+    assert "SIGKILL to next result  median    160 ms, max    200 ms" in printed
+    assert "SIGTERM to resumed" in printed
+    assert "at most 12 frames" in printed
+    assert "every session was 11 s old at the first restart" in printed
     assert json.loads(json.dumps(report.as_dict()))["lost"] == 0
     assert not replace(report, differ=1).flawless
     assert "1 refused with at-capacity" in "\n".join(lines(replace(report, refused={"at-capacity": 1}), "sample"))

@@ -143,9 +143,9 @@ async def _until(wire: Wire, status: int) -> dict[str, str]:
     give_up = time.monotonic() + 40
     while time.monotonic() < give_up:
         answer = await wire.http.get("/readyz")
-        told: dict[str, str] = answer.json()
-        if answer.status_code == status and told.get("detail") != NO_LANE:
-            return told
+        problem: dict[str, str] = answer.json()
+        if answer.status_code == status and problem.get("detail") != NO_LANE:
+            return problem
         await asyncio.sleep(0.02)
     raise AssertionError(f"readiness is never {status}")
 

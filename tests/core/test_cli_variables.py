@@ -45,7 +45,7 @@ def test_eval_and_bench_warn_about_their_own_variable_only(
 ) -> None:
     monkeypatch.setenv("MFCMT_OTB_ROT", "/data")
     monkeypatch.setenv("MFCMT_LANES", "2")
-    told = "MFCMT_OTB_ROT is not read by anything; did you mean MFCMT_OTB_ROOT?"
-    assert misspelt_variables() == [told]
+    complaint = "MFCMT_OTB_ROT is not read by anything; did you mean MFCMT_OTB_ROOT?"
+    assert misspelt_variables() == [complaint]
     assert main(["eval", "--data", "nowhere"]) == 2
-    assert capsys.readouterr().err.splitlines()[0] == f"mfcmt eval: {told}"
+    assert capsys.readouterr().err.splitlines()[0] == f"mfcmt eval: {complaint}"

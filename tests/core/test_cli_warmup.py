@@ -123,8 +123,8 @@ def test_kernels_for_a_cpu_with_more_instructions_are_not_used() -> None:
     require(beyond or platform.machine() != "x86_64", "this CPU has all the instructions that there are to lack")
     for level in beyond:
         # where they were used, the process would end by SIGILL
-        told = run(sys.executable, "-c", ONE_KERNEL + TARGET, NUMBA_CPU_NAME=level, NUMBA_CPU_FEATURES="")
-        assert told.split()[-1] != level
+        printed = run(sys.executable, "-c", ONE_KERNEL + TARGET, NUMBA_CPU_NAME=level, NUMBA_CPU_FEATURES="")
+        assert printed.split()[-1] != level
 
 
 def test_a_level_fits_if_all_its_instructions_are_there() -> None:

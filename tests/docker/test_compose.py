@@ -42,8 +42,8 @@ def understood(program: str, *words: str, **variables: str) -> dict[str, Any]:
     env = {"PATH": os.environ["PATH"]} | variables
     done = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    told: dict[str, Any] = json.loads(done.stdout)
-    return told
+    printed: dict[str, Any] = json.loads(done.stdout)
+    return printed
 
 
 def refused_at_the_start(compose: dict[str, Any]) -> list[str]:
@@ -115,8 +115,8 @@ def test_every_setting_reaches_the_service(program: str) -> None:
 
 def test_unset_variables_leave_the_service_its_defaults(program: str) -> None:
     inside = understood(program, **KEYS)["services"]["mfcmt"]["environment"]
-    told = {name for name, value in inside.items() if value is not None and name.startswith("MFCMT_")}
-    assert told == {"MFCMT_API_KEYS", "MFCMT_ADMIN_KEY", "MFCMT_MAX_LANE_RSS_BYTES"}
+    printed = {name for name, value in inside.items() if value is not None and name.startswith("MFCMT_")}
+    assert printed == {"MFCMT_API_KEYS", "MFCMT_ADMIN_KEY", "MFCMT_MAX_LANE_RSS_BYTES"}
 
 
 def test_the_list_of_variables_is_that_of_the_settings() -> None:
@@ -133,12 +133,12 @@ def test_the_example_file_names_existing_variables(program: str) -> None:
     assert {name for name, _ in lines} <= read | settings
     assert set(KEYS) <= {name for name, value in lines if value == ""}
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
-    told = dict(lines)
-    assert told["MFCMT_VERSION"] == version
+    printed = dict(lines)
+    assert printed["MFCMT_VERSION"] == version
     # the comments give the defaults where there are any
     plain = understood(program, **KEYS)["services"]["mfcmt"]
     assert plain["image"] == f"mfcmt:{version}"
-    assert plain["environment"]["MFCMT_MAX_LANE_RSS_BYTES"] == told["MFCMT_MAX_LANE_RSS_BYTES"]
+    assert plain["environment"]["MFCMT_MAX_LANE_RSS_BYTES"] == printed["MFCMT_MAX_LANE_RSS_BYTES"]
     Settings(
         **{
             name.removeprefix("MFCMT_").lower(): value
@@ -151,13 +151,13 @@ def test_the_example_file_names_existing_variables(program: str) -> None:
 def test_the_script_makes_valid_keys_and_keeps_existing_ones(tmp_path: Path, program: str) -> None:
     for name in ("env.sh", ".env.example", "compose.yaml"):
         (tmp_path / name).write_bytes((DOCKER / name).read_bytes())
-    told = []
+    printed = []
     for _ in range(2):
         subprocess.run(["sh", tmp_path / "env.sh"], check=True, capture_output=True)
-        told.append((tmp_path / ".env").read_text())
-    assert told[0] == told[1]
+        printed.append((tmp_path / ".env").read_text())
+    assert printed[0] == printed[1]
     assert (tmp_path / ".env").stat().st_mode & 0o077 == 0
-    made = dict(re.findall(r"^([A-Z_]+)=(.+)$", told[0], re.M))
+    made = dict(re.findall(r"^([A-Z_]+)=(.+)$", printed[0], re.M))
     assert len({made[name] for name in (*KEYS, "MFCMT_SIGNING_KEYS")}) == 4
     assert (tmp_path / "admin-key").read_text() == made["MFCMT_ADMIN_KEY"]
     Settings(host="0.0.0.0", api_keys=made["MFCMT_API_KEYS"], signing_keys=made["MFCMT_SIGNING_KEYS"])

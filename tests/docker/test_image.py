@@ -86,11 +86,11 @@ def labels(dockerfile: str) -> dict[str, str]:
 
 def test_the_image_has_labels_for_version_revision_and_licence() -> None:
     text = DOCKERFILE.read_text()
-    told = labels(text)
+    labelled = labels(text)
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert told["org.opencontainers.image.licenses"] == project["license"]
-    assert told["org.opencontainers.image.version"] == "${VERSION}"
-    assert told["org.opencontainers.image.revision"] == "${REVISION}"
+    assert labelled["org.opencontainers.image.licenses"] == project["license"]
+    assert labelled["org.opencontainers.image.version"] == "${VERSION}"
+    assert labelled["org.opencontainers.image.revision"] == "${REVISION}"
     assert {"VERSION", "REVISION"} <= set(re.findall(r"^ARG (\w+)", text, re.M))
 
 

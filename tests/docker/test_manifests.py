@@ -138,6 +138,6 @@ def test_the_pod_is_as_sealed_as_the_image_allows_and_has_time_to_drain() -> Non
 
 
 def test_every_variable_is_a_setting() -> None:
-    told = "".join(path.read_text() for path in DOCKER.rglob("*") if path.is_file() and ".py" not in path.suffix)
+    everything = "".join(path.read_text() for path in DOCKER.rglob("*") if path.is_file() and ".py" not in path.suffix)
     known = {f"MFCMT_{name.upper()}" for name in Settings.model_fields} | {"MFCMT_VERSION"}
-    assert set(re.findall(r"MFCMT_[A-Z_]+", told)) <= known
+    assert set(re.findall(r"MFCMT_[A-Z_]+", everything)) <= known

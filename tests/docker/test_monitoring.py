@@ -146,7 +146,7 @@ def test_every_alert_is_explained_in_the_guide() -> None:
 
 def test_every_metric_name_is_one_of_the_service(watched: Watched) -> None:
     text = httpx2.get(f"{watched.server.url}/metrics", headers={"Authorization": f"Bearer {ADMIN}"}).text
-    told = {re.split(r"[{ ]", line)[0] for line in text.splitlines() if not line.startswith("#")}
+    exported = {re.split(r"[{ ]", line)[0] for line in text.splitlines() if not line.startswith("#")}
     asked = set()
     for _, expression in queries():
         asked |= names(expression)
@@ -155,7 +155,7 @@ def test_every_metric_name_is_one_of_the_service(watched: Watched) -> None:
     for rule in adapter_rules():
         asked |= names(rule["seriesQuery"] + rule["metricsQuery"])
     assert len(asked) > 25
-    assert asked - told == set()
+    assert asked - exported == set()
 
 
 def test_codes_and_reasons_that_alerts_look_for_exist() -> None:
@@ -174,8 +174,8 @@ def test_the_autoscaler_uses_the_fraction_of_occupied_places(watched: Watched) -
     [part] = watched.ask("mfcmt_sessions_active / mfcmt_sessions_capacity")
     for rule in adapter_rules():
         query = rule["metricsQuery"].replace("<<.LabelMatchers>>", 'job="mfcmt"').replace("<<.GroupBy>>", "job")
-        [told] = watched.ask(query)
-        assert float(told["value"][1]) == pytest.approx(float(part["value"][1]), abs=0.2)
+        [found] = watched.ask(query)
+        assert float(found["value"][1]) == pytest.approx(float(part["value"][1]), abs=0.2)
 
 
 def test_no_alert_fires_on_a_healthy_service(watched: Watched) -> None:

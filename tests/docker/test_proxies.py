@@ -173,7 +173,7 @@ def clip() -> Clip:
 
 
 def test_calls_and_streams_give_the_same_results_through_a_proxy(proxy: Proxy, clip: Clip) -> None:
-    told = []
+    runs = []
     for url in (proxy.server.url, proxy.url):
         with Client(url, key=KEY) as client:
             session = client.create(clip.frames[0], box=clip.box)
@@ -181,9 +181,9 @@ def test_calls_and_streams_give_the_same_results_through_a_proxy(proxy: Proxy, c
             first = session.track(clip.frames[1])
             results = [first, *session.stream(clip.frames[2:], mode="lossless")]
             session.close()
-        told.append([(result.seq, [target.box for target in result.targets]) for result in results])
-    assert told[0] == told[1]
-    assert len(told[1]) == len(clip.frames) - 1
+        runs.append([(result.seq, [target.box for target in result.targets]) for result in results])
+    assert runs[0] == runs[1]
+    assert len(runs[1]) == len(clip.frames) - 1
 
 
 async def test_pings_keep_a_quiet_stream_open(proxy: Proxy, clip: Clip) -> None:

@@ -106,11 +106,13 @@ def rows(text: str) -> list[tuple[int, int, list[float], str]]:
 def test_the_python_example_tracks_several_targets_in_a_file(server: OwnServer, clip: Clip, film: Path) -> None:
     x, y, w, h = clip.box
     boxes = [comma(clip.box), comma((x + w / 4, y + h / 4, w / 2, h / 2))]
-    told = rows(output([sys.executable, "track_video.py", str(film), *boxes], SERVICE=server.url))
-    assert [(seq, target) for seq, target, _, _ in told] == [(n, t) for n in range(1, len(clip.frames)) for t in (0, 1)]
-    last, said = told[-2][2], in_process(clip, [clip.box])[-1][0].box
+    printed = rows(output([sys.executable, "track_video.py", str(film), *boxes], SERVICE=server.url))
+    assert [(seq, target) for seq, target, _, _ in printed] == [
+        (n, t) for n in range(1, len(clip.frames)) for t in (0, 1)
+    ]
+    last, said = printed[-2][2], in_process(clip, [clip.box])[-1][0].box
     assert abs(last[0] - said[0]) < w / 4  # the film has been encoded twice more
-    assert {status for *_, status in told} <= {"tracking", "uncertain", "lost"}
+    assert {status for *_, status in printed} <= {"tracking", "uncertain", "lost"}
     failed = run([sys.executable, "track_video.py", "no-such-file.mp4", "1,2,3,4"], SERVICE=server.url)
     assert failed.returncode != 0
     assert "No such file" in failed.stderr
@@ -126,11 +128,11 @@ def test_the_python_example_tracks_a_live_stream(server: OwnServer, clip: Clip) 
         done = run([sys.executable, "track_video.py", url, *boxes], SERVICE=server.url, RETRY="0")
     assert done.returncode == 1  # a camera that ends has gone
     assert done.stderr.startswith(f"{url} is gone: ")
-    told = rows(done.stdout)
-    seqs = [seq for seq, target, *_ in told if target == 0]
-    assert seqs == sorted(set(seqs)) == [seq for seq, target, *_ in told if target == 1]
+    printed = rows(done.stdout)
+    seqs = [seq for seq, target, *_ in printed if target == 0]
+    assert seqs == sorted(set(seqs)) == [seq for seq, target, *_ in printed if target == 1]
     assert len(seqs) > 1  # how many more is a matter of the machine
-    found = [box for _, target, box, _ in told if target == 0]
+    found = [box for _, target, box, _ in printed if target == 0]
     truth = [clip.box, *(one[0].box for one in in_process(clip, [clip.box]))]
     # Which frames of the film they were the camera does not tell: each box is near one of the truth.
     near = [max(overlap(box, one) for one in truth) for box in found]
@@ -146,8 +148,8 @@ def test_the_node_example_gives_the_library_s_boxes(
     shutil.copytree(PACKAGE, modules / "mfcmt-client")
     (modules / "ws").symlink_to(JSCLIENT / "node_modules" / "ws")
     example = shutil.copy(EXAMPLES / "track.mjs", tmp_path / "app")
-    told = output([node, str(example), comma(clip.box), *files], SERVICE=server.url, KEY=KEY)
-    results = [json.loads(line) for line in told.splitlines()]
+    printed = output([node, str(example), comma(clip.box), *files], SERVICE=server.url, KEY=KEY)
+    results = [json.loads(line) for line in printed.splitlines()]
     assert [r["box"] for r in results] == [list(one[0].box) for one in in_process(clip, [clip.box])]
     refused = run([node, str(example), comma(clip.box), *files], SERVICE=server.url)
     assert refused.returncode == 1
@@ -158,18 +160,18 @@ def test_an_old_node_is_refused_in_one_line(node: str, tmp_path: Path) -> None:
     """The version is feigned; the check comes before anything is loaded that an old Node does not know."""
     old = tmp_path / "old.cjs"
     old.write_text('Object.defineProperty(process.versions, "node", { value: "18.20.0" });')
-    told = run([node, "--require", str(old), "track.mjs", "1,2,3,4", "a.jpg", "b.jpg"])
-    assert (told.returncode, told.stderr) == (1, "Node 20 or newer is needed; this is 18.20.0\n")
+    printed = run([node, "--require", str(old), "track.mjs", "1,2,3,4", "a.jpg", "b.jpg"])
+    assert (printed.returncode, printed.stderr) == (1, "Node 20 or newer is needed; this is 18.20.0\n")
     engines = json.loads((PACKAGE / "package.json").read_text())["engines"]
     assert engines == {"node": ">=20"}
 
 
 def test_node_without_the_package_says_what_to_install(node: str, tmp_path: Path) -> None:
     example = shutil.copy(EXAMPLES / "track.mjs", tmp_path)
-    told = run([node, str(example), "1,2,3,4", "a.jpg", "b.jpg"], cwd=tmp_path)
-    assert told.returncode == 1
-    assert told.stderr.splitlines()[-1] == "npm install mfcmt-client"
-    assert "at " not in told.stderr.splitlines()[-1]
+    printed = run([node, str(example), "1,2,3,4", "a.jpg", "b.jpg"], cwd=tmp_path)
+    assert printed.returncode == 1
+    assert printed.stderr.splitlines()[-1] == "npm install mfcmt-client"
+    assert "at " not in printed.stderr.splitlines()[-1]
     usage = run([node, str(example)], cwd=tmp_path)
     assert (usage.returncode, usage.stderr) == (1, "node track.mjs x,y,w,h FRAME FRAME...\n")
 

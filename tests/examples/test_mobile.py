@@ -77,7 +77,7 @@ def kotlin(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     return [java, "-cp", f"{folder / 'app.jar'}:{path}", "MainKt"]
 
 
-async def told(call: list[str], on_line: Callable[[int], None] = lambda count: None) -> list[str]:
+async def lines_of(call: list[str], on_line: Callable[[int], None] = lambda count: None) -> list[str]:
     """The lines that it prints."""
     pipe = asyncio.subprocess.PIPE
     process = await asyncio.create_subprocess_exec(*call, stdout=pipe, stderr=pipe)
@@ -113,7 +113,7 @@ async def test_kotlin_tracks_like_the_library(
             if count in (10, 30):
                 cable.cut()
 
-        *lines, cuts, ended = await told([*kotlin, cable.url, KEY, box, "whole", *files], cut)
+        *lines, cuts, ended = await lines_of([*kotlin, cable.url, KEY, box, "whole", *files], cut)
         assert cable.connections >= 4
     assert (cuts, ended) == ("cuts 0", "ended session ended: closed")
     assert boxes_of(lines)[:9] == [list(one[0].box) for one in in_process(clip, [clip.box])][:9]
@@ -126,7 +126,7 @@ async def test_kotlin_tracks_like_the_library(
 async def test_kotlin_sends_regions(kotlin: list[str], own_server: Serve, clip: Clip, files: list[str]) -> None:
     server = own_server()
     box = ",".join(map(str, clip.box))
-    *lines, cuts, _ = await told([*kotlin, server.url, "", box, "regions", *files])
+    *lines, cuts, _ = await lines_of([*kotlin, server.url, "", box, "regions", *files])
     assert int(cuts.split()[1]) > len(lines) // 2
     overlaps = [
         overlap(box, one[0].box) for box, one in zip(boxes_of(lines), in_process(clip, [clip.box]), strict=True)

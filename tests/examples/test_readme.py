@@ -67,9 +67,9 @@ def test_the_curl_session_works_as_pasted(server: OwnServer, said: list[Any]) ->
     assert ADDRESS in code
     done = run(["sh", "-euc", code.replace(ADDRESS, server.url)])
     assert (done.returncode, done.stderr) == (0, "")
-    told = json.loads(done.stdout)
-    assert (told["type"], told["seq"]) == ("result", 1)
-    assert told["targets"][0]["box"] == pytest.approx(said[1].box, abs=1e-3)
+    answer = json.loads(done.stdout)
+    assert (answer["type"], answer["seq"]) == ("result", 1)
+    assert answer["targets"][0]["box"] == pytest.approx(said[1].box, abs=1e-3)
     shown = json.loads("[" + re.findall(r'"box":\[([^]]*)\]', code)[0] + "]")
     assert shown == pytest.approx(said[1].box, abs=0.06)
 
@@ -146,8 +146,8 @@ def test_the_javascript_client_installs_from_a_path(server: OwnServer, node: str
 
 
 def test_both_readmes_install_the_clients_in_the_same_way() -> None:
-    told = block("sh", "pip install")
-    lines = [line.partition("#")[0].strip() for line in told.splitlines()]
+    commands = block("sh", "pip install")
+    lines = [line.partition("#")[0].strip() for line in commands.splitlines()]
     here = block("sh", "pip install", EXAMPLES_README)
     assert all(line in here for line in lines)
     assert "httpx2 websockets msgpack pydantic" in here

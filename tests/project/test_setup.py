@@ -63,8 +63,8 @@ def test_pip_s_output_is_shown_only_if_it_fails(tmp_path: Path, capfd: pytest.Ca
     pip.write_text(PIP + lines)
     assert with_count([sys.executable, str(pip)], 27) == 0
     said = capfd.readouterr()
-    told = [line.split(":")[0].strip() for line in said.out.splitlines()]
-    assert told == ["unpacking what was fetched", "10 of 27", "20 of 27"]
+    counted = [line.split(":")[0].strip() for line in said.out.splitlines()]
+    assert counted == ["unpacking what was fetched", "10 of 27", "20 of 27"]
     assert said.err == ""
     pip.write_text(PIP + "print('ERROR: no such thing'); raise SystemExit(3)")
     assert with_count([sys.executable, str(pip)], 2) == 3

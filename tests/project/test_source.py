@@ -73,9 +73,9 @@ def test_numpy_arrays_are_read_without_objects() -> None:
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "load":
                 owner = node.func.value
                 if isinstance(owner, ast.Name) and owner.id in ("np", "numpy"):
-                    told = {keyword.arg: keyword.value for keyword in node.keywords}
-                    assert "allow_pickle" in told, f"{path}:{node.lineno}"
-                    assert _is(told["allow_pickle"], False), f"{path}:{node.lineno}"
+                    keywords = {keyword.arg: keyword.value for keyword in node.keywords}
+                    assert "allow_pickle" in keywords, f"{path}:{node.lineno}"
+                    assert _is(keywords["allow_pickle"], False), f"{path}:{node.lineno}"
 
 
 def test_secrets_come_from_the_system_s_generator() -> None:

@@ -50,10 +50,10 @@ def main():
             ("camera", jpegs.encode(image)),
             ("restarts", jpegs.encode(image, cv2.IMWRITE_JPEG_RST_INTERVAL, size[0] // 16)),
         ):
-            told = least_ms(ways, data)
-            print(f"{name + ', ' + kind:28}{''.join(f'{told[way]:12.2f}' for way in ways)}")
-        told = least_ms({"decode": ways["decode"]}, jpegs.before_restarts(data, b"\0"))
-        print(f"{name + ', stray bytes':28}{told['decode']:12.2f}")
+            least = least_ms(ways, data)
+            print(f"{name + ', ' + kind:28}{''.join(f'{least[way]:12.2f}' for way in ways)}")
+        least = least_ms({"decode": ways["decode"]}, jpegs.before_restarts(data, b"\0"))
+        print(f"{name + ', stray bytes':28}{least['decode']:12.2f}")
     for name, size, options in (
         ("4K, one scan", (3840, 2160), ()),
         ("4K, one scan, best quality", (3840, 2160), (cv2.IMWRITE_JPEG_QUALITY, 100)),

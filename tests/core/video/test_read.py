@@ -104,12 +104,12 @@ def test_a_file_that_is_cut_off_says_so_after_its_last_frame(name: str, tmp_path
     data = path.read_bytes()
     path.write_bytes(data[: len(data) * 7 // 10])
     frames: list[Frame] = []
-    with VideoReader(path) as reader, pytest.raises(MissingFrames, match=f"{name} (ends after|is damaged)") as told:
+    with VideoReader(path) as reader, pytest.raises(MissingFrames, match=f"{name} (ends after|is damaged)") as missing:
         frames.extend(reader)
     count = len(frames)
     assert 0 < count < LENGTH
     if name in ("fast.mp4", "mjpeg.avi"):
-        assert f"ends after {count} of {LENGTH} frames" in str(told.value)
+        assert f"ends after {count} of {LENGTH} frames" in str(missing.value)
 
 
 def test_damaged_packets_are_counted_and_the_others_keep_their_numbers(tmp_path: Path) -> None:
@@ -121,9 +121,9 @@ def test_damaged_packets_are_counted_and_the_others_keep_their_numbers(tmp_path:
     data[start : start + size] = b"\xff" * size  # no length of a NAL unit fits: it cannot be decoded
     path.write_bytes(data)
     frames = []
-    with VideoReader(path) as reader, pytest.raises(MissingFrames, match="1 frame that cannot be decoded") as told:
+    with VideoReader(path) as reader, pytest.raises(MissingFrames, match="1 frame that cannot be decoded") as missing:
         frames.extend(reader)
-    assert "the first after frame 2" in str(told.value)
+    assert "the first after frame 2" in str(missing.value)
     assert [frame.index for frame in frames] == [0, 1, 2, 4, 5, 6, 7]
     assert [frame.time_s for frame in frames] == pytest.approx([i / 25 for i in (0, 1, 2, 4, 5, 6, 7)])
 

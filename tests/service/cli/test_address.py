@@ -24,12 +24,12 @@ def taken() -> Iterator[int]:
 def test_a_port_in_use_is_one_line(
     taken: int, command: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = f"mfcmt {command[0]}: port {taken} is in use; choose another, as with MFCMT_PORT={taken + 1}\n"
+    complaint = f"mfcmt {command[0]}: port {taken} is in use; choose another, as with MFCMT_PORT={taken + 1}\n"
     assert main([*command, "--port", str(taken)]) == 1
-    assert capsys.readouterr().err == told
+    assert capsys.readouterr().err == complaint
     monkeypatch.setenv("MFCMT_PORT", str(taken))
     assert main(command) == 1
-    assert capsys.readouterr().err == told
+    assert capsys.readouterr().err == complaint
 
 
 @pytest.mark.parametrize("command", [["demo", "--no-browser"], ["health"]])
@@ -54,8 +54,8 @@ def test_a_misspelt_setting_is_a_line_of_the_log() -> None:
     environment = {"MFCMT_LANE": "3", "MFCMT_OTB_ROOT": "/data", "MFCMT_CI": "1"}
     with OwnServer(lanes=1, environment=environment) as server:
         lines = [json.loads(line) for line in server.log.splitlines()]
-    told = [line["event"] for line in lines if "not read" in line["event"]]
-    assert told == ["MFCMT_LANE is not read by anything; did you mean MFCMT_LANES?"]
+    complaint = [line["event"] for line in lines if "not read" in line["event"]]
+    assert complaint == ["MFCMT_LANE is not read by anything; did you mean MFCMT_LANES?"]
     assert {line["level"] for line in lines if "not read" in line["event"]} == {"warning"}
 
 

@@ -16,10 +16,10 @@ from tests.tools.soak.slope import STEP_BYTES, STEP_SLOPE, slope
 def test_bad_inputs(capsys: pytest.CaptureFixture[str]) -> None:
     """Also prints the figures into the log of the tests."""
     assert main(["fuzz", "--count", "60", "--seed", "20"]) == 0
-    told = capsys.readouterr().out
-    assert told.splitlines()[-1] == "bad inputs tried: 300; wrong answers: 0 of 300"
+    printed = capsys.readouterr().out
+    assert printed.splitlines()[-1] == "bad inputs tried: 300; wrong answers: 0 of 300"
     with capsys.disabled():
-        print(f"\n{told.splitlines()[-1]}")
+        print(f"\n{printed.splitlines()[-1]}")
 
 
 # What the short form can tell from an allocator that is still settling.

@@ -29,12 +29,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_load_prints_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["load", "--frames", str(folder), "--sessions", "2", "--seconds", "0.5", "--fps", "40", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["sessions"] == 2
-    assert told["sent"] == told["answered"] + told["dropped"]
-    assert 0 < told["p50_ms"] <= told["p95_ms"] <= told["p99_ms"]
-    assert {"front", "fork server", "lane 0"} <= set(told["after"])
-    assert told["after"]["lane 0"]["rss_bytes"] > 10_000_000
+    report = json.loads(capsys.readouterr().out)
+    assert report["sessions"] == 2
+    assert report["sent"] == report["answered"] + report["dropped"]
+    assert 0 < report["p50_ms"] <= report["p95_ms"] <= report["p99_ms"]
+    assert {"front", "fork server", "lane 0"} <= set(report["after"])
+    assert report["after"]["lane 0"]["rss_bytes"] > 10_000_000
 
 
 def test_load_drives_a_given_server(server: OwnServer, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

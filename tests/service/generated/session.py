@@ -55,8 +55,8 @@ made = create_session.sync(client=client, body=form, idempotency_key="generated-
 assert isinstance(made, Session)
 several = create_session.sync(client=client, body=CreateForm(frame=image(0), boxes=json.dumps([box, box])))
 assert isinstance(several, Session)
-told = create_session.sync(client=client, body=CreateBody(frame=coded(0), boxes=[box]))
-assert isinstance(told, Session)
+created = create_session.sync(client=client, body=CreateBody(frame=coded(0), boxes=[box]))
+assert isinstance(created, Session)
 
 results: list[Result | Problem | None] = [
     post_frame.sync(made.id, client=client, body=image(1), seq=1, ts="raw"),
@@ -96,7 +96,7 @@ assert isinstance(ready, Health)
 exposed = metrics.sync(client=client)
 assert isinstance(exposed, str)
 
-ended = [delete_session.sync_detailed(each.id, client=client) for each in (made, told, several, restored)]
+ended = [delete_session.sync_detailed(each.id, client=client) for each in (made, created, several, restored)]
 gone = get_session.sync(made.id, client=client)
 assert isinstance(gone, Problem)
 print(

@@ -62,8 +62,8 @@ def test_a_generated_python_client_does_a_whole_session(
     for path, frame in zip(frames, clip.frames, strict=False):
         path.write_bytes(frame)
     box = ",".join(map(str, clip.box))
-    told = json.loads(done(sys.executable, "session.py", server.url, KEY, box, *map(str, frames), cwd=tmp_path))
-    assert told == {
+    printed = json.loads(done(sys.executable, "session.py", server.url, KEY, box, *map(str, frames), cwd=tmp_path))
+    assert printed == {
         "label": "generated",
         "several": 2,
         "seqs": [[1, "raw"], [2, 2.5], [3, None]],

@@ -95,7 +95,7 @@ def _go_on(tape: Tape) -> str:
         if session["label"] == "default":
             # What the default settings make of a frame may change; that they go on may not.
             sent = raw(4)
-            del sent["told"]
+            del sent["note"]
             assert tape.quiet("POST", f"/v1/sessions/{sid}/frames", **sent).status_code == 200
         else:
             tape.call("POST", f"/v1/sessions/{sid}/frames", **raw(4))

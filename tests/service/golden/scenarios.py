@@ -43,8 +43,8 @@ Scenario = Callable[[Tape], None]
 def create(tape: Tape, *boxes: Any, **options: Any) -> str:
     """Make a session from frame 0 by a form; its id."""
     data = {"boxes": json.dumps(list(boxes) or [BOX]), "options": json.dumps(PAPER | options)}
-    told = f"form: frame 0, {data['boxes']}, {data['options']}"
-    response = tape.call("POST", "/v1/sessions", told=told, files={"frame": frame(0)}, data=data)
+    note = f"form: frame 0, {data['boxes']}, {data['options']}"
+    response = tape.call("POST", "/v1/sessions", note=note, files={"frame": frame(0)}, data=data)
     return _named(tape, response.json()["id"])
 
 
@@ -59,28 +59,28 @@ def packed(value: Any) -> dict[str, Any]:
 
 def plain(value: Any) -> dict[str, Any]:
     """A JSON body."""
-    return {"content": json.dumps(value), "headers": {"Content-Type": "application/json"}, "told": json.dumps(value)}
+    return {"content": json.dumps(value), "headers": {"Content-Type": "application/json"}, "note": json.dumps(value)}
 
 
 def raw(index: int) -> dict[str, Any]:
     """A frame as the body."""
-    return {"content": frame(index), "headers": {"Content-Type": "image/jpeg"}, "told": f"frame {index}"}
+    return {"content": frame(index), "headers": {"Content-Type": "image/jpeg"}, "note": f"frame {index}"}
 
 
 def sessions(tape: Tape) -> None:
     """Sessions are made in every encoding, read, listed by pages and ended."""
     form = {"box": ",".join(map(str, BOX))}
-    response = tape.call("POST", "/v1/sessions", told="form: frame 0, box", files={"frame": frame(0)}, data=form)
+    response = tape.call("POST", "/v1/sessions", note="form: frame 0, box", files={"frame": frame(0)}, data=form)
     first = _named(tape, response.json()["id"])
     second = create(tape, BOX, OTHER, label='Größe "1"', idle_timeout_s=60, maps=True, on_resize="rescale")
     text = base64.b64encode(frame(0)).decode()
-    body = plain({"frame": text, "box": BOX, "options": PAPER}) | {"told": "JSON: frame 0 in base64, box"}
+    body = plain({"frame": text, "box": BOX, "options": PAPER}) | {"note": "JSON: frame 0 in base64, box"}
     _named(tape, tape.call("POST", "/v1/sessions", **body).json()["id"])
     body = packed({"frame": frame(0), "boxes": [BOX], "options": PAPER})
     body["headers"] |= {"Accept": "application/msgpack", "Idempotency-Key": "once"}
-    made = tape.call("POST", "/v1/sessions", told="MessagePack: frame 0, boxes", **body)
+    made = tape.call("POST", "/v1/sessions", note="MessagePack: frame 0, boxes", **body)
     last = _named(tape, msgpack.unpackb(made.content)["id"])
-    tape.call("POST", "/v1/sessions", told="the same again with the same Idempotency-Key", **body)
+    tape.call("POST", "/v1/sessions", note="the same again with the same Idempotency-Key", **body)
     after = tape.call("GET", "/v1/sessions?limit=3").json()["next"]
     tape.call("GET", f"/v1/sessions?after={after}&limit=3", shown="/v1/sessions?after=<page>&limit=3")
     tape.call("GET", "/v1/sessions", headers={"Accept": "application/msgpack"})
@@ -92,7 +92,7 @@ def sessions(tape: Tape) -> None:
     tape.call("GET", f"/v1/sessions/{first}")
     tape.call("POST", f"/v1/sessions/{first}/frames", **raw(1))
     tape.call("DELETE", f"/v1/sessions/{last}")
-    tape.call("POST", "/v1/sessions", told="the Idempotency-Key of a session that has ended", **body)
+    tape.call("POST", "/v1/sessions", note="the Idempotency-Key of a session that has ended", **body)
     tape.call("GET", "/v1/sessions/AAAAAAAAAAAAAAAAAAAAAAAA")
 
 
@@ -102,13 +102,13 @@ def frames(tape: Tape) -> None:
     tape.call("POST", f"/v1/sessions/{sid}/frames", **raw(1))
     tape.call("POST", f"/v1/sessions/{sid}/frames?seq=5&ts=a%22b%2Cc", **raw(2))
     form = {"seq": "7", "ts": "1.5"}
-    tape.call("POST", f"/v1/sessions/{sid}/frames?seq=7&ts=x", told="form: frame 3", files={"frame": frame(3)})
-    tape.call("POST", f"/v1/sessions/{sid}/frames", told="form: frame 3, seq, ts", files={"frame": frame(3)}, data=form)
+    tape.call("POST", f"/v1/sessions/{sid}/frames?seq=7&ts=x", note="form: frame 3", files={"frame": frame(3)})
+    tape.call("POST", f"/v1/sessions/{sid}/frames", note="form: frame 3, seq, ts", files={"frame": frame(3)}, data=form)
     body = packed({"frame": frame(4), "seq": 9, "ts": 12})
     body["headers"] |= {"Accept": "application/msgpack"}
-    tape.call("POST", f"/v1/sessions/{sid}/frames", told="MessagePack: frame 4, seq 9, ts 12", **body)
+    tape.call("POST", f"/v1/sessions/{sid}/frames", note="MessagePack: frame 4, seq 9, ts 12", **body)
     text = base64.b64encode(frame(3)).decode()
-    body = plain({"frame": text, "ts": "later"}) | {"told": "JSON: frame 3 in base64, ts"}
+    body = plain({"frame": text, "ts": "later"}) | {"note": "JSON: frame 3 in base64, ts"}
     tape.call("POST", f"/v1/sessions/{sid}/frames", **body)
     tape.call("GET", f"/v1/sessions/{sid}")
     with_maps = create(tape, maps=True)
@@ -127,7 +127,7 @@ def targets(tape: Tape) -> None:
     tape.call("POST", f"/v1/sessions/{sid}/targets", **plain({"box": OTHER}))
     tape.call("POST", f"/v1/sessions/{sid}/frames", **raw(2))
     tape.call("PUT", f"/v1/sessions/{sid}/targets/0", **plain({"box": [50, 40, 30.5, 24]}))
-    tape.call("POST", f"/v1/sessions/{sid}/targets", told="MessagePack: box", **packed({"box": OTHER}))
+    tape.call("POST", f"/v1/sessions/{sid}/targets", note="MessagePack: box", **packed({"box": OTHER}))
     tape.call("POST", f"/v1/sessions/{sid}/targets", **plain({"box": OTHER}))
     tape.call("DELETE", f"/v1/sessions/{sid}/targets/1")
     tape.call("DELETE", f"/v1/sessions/{sid}/targets/1")
@@ -169,14 +169,14 @@ def snapshots(tape: Tape) -> None:
     tape.call("GET", f"/v1/sessions/{sid}/snapshot", headers={"Accept": "application/octet-stream"})
     tape.call("GET", f"/v1/sessions/{sid}/snapshot", headers={"Accept": "application/json"})
     kind = {"Content-Type": "application/vnd.mfcmt.snapshot"}
-    restored = tape.call("POST", "/v1/sessions", told="the snapshot", content=snapshot, headers=kind)
+    restored = tape.call("POST", "/v1/sessions", note="the snapshot", content=snapshot, headers=kind)
     again = _named(tape, restored.json()["id"])
     for one in (sid, again):
         tape.call("POST", f"/v1/sessions/{one}/frames", **raw(2))
     tape.call("GET", f"/v1/sessions/{again}/trajectory")
     broken = snapshot[:-1] + bytes([snapshot[-1] ^ 1])
-    tape.call("POST", "/v1/sessions", told="the snapshot, a bit turned", content=broken, headers=kind)
-    tape.call("POST", "/v1/sessions", told="no snapshot", content=b"MFCMTS", headers=kind)
+    tape.call("POST", "/v1/sessions", note="the snapshot, a bit turned", content=broken, headers=kind)
+    tape.call("POST", "/v1/sessions", note="no snapshot", content=b"MFCMTS", headers=kind)
 
 
 def service(tape: Tape) -> None:
@@ -196,17 +196,17 @@ def refusals(tape: Tape) -> None:
     tape.call("GET", f"/v1/sessions/{sid}", headers={"Accept": "text/html"})
     tape.call("GET", "/v1/sessions?limit=0")
     tape.call("GET", f"/v1/sessions/{sid}", headers={"Host": "evil.example"})
-    tape.call("POST", "/v1/sessions", told="nothing")
+    tape.call("POST", "/v1/sessions", note="nothing")
     tape.call("POST", "/v1/sessions", **plain({"box": BOX}))
-    tape.call("POST", "/v1/sessions", content=b"{", headers=AS_JSON, told="{")
+    tape.call("POST", "/v1/sessions", content=b"{", headers=AS_JSON, note="{")
     tape.call(
         "POST",
         "/v1/sessions",
         content=b'{"a":1,"a":2}',
         headers={"Content-Type": "application/json"},
-        told="a key twice",
+        note="a key twice",
     )
-    tape.call("POST", "/v1/sessions", content=b"x", headers={"Content-Type": "text/plain"}, told="x")
+    tape.call("POST", "/v1/sessions", content=b"x", headers={"Content-Type": "text/plain"}, note="x")
     text = base64.b64encode(frame(0)).decode()
     for rest in (
         {},
@@ -222,25 +222,25 @@ def refusals(tape: Tape) -> None:
         {"box": BOX, "extra": 1},
         {"boxes": [BOX] * 4},
     ):
-        told = f"JSON: frame 0, {json.dumps(rest)[:80]}"
-        tape.call("POST", "/v1/sessions", **plain({"frame": text} | rest) | {"told": told})
+        note = f"JSON: frame 0, {json.dumps(rest)[:80]}"
+        tape.call("POST", "/v1/sessions", **plain({"frame": text} | rest) | {"note": note})
     garbage = base64.b64encode(b"\xff\xd8\xff nothing").decode()
-    tape.call("POST", "/v1/sessions", **plain({"frame": garbage, "box": BOX}) | {"told": "a damaged image"})
+    tape.call("POST", "/v1/sessions", **plain({"frame": garbage, "box": BOX}) | {"note": "a damaged image"})
     body = {"files": {"frame": frame(0)}, "data": {"box": "1,2,3,4"}}
-    tape.call("POST", "/v1/sessions", headers={"Idempotency-Key": "a b"}, told="a bad Idempotency-Key", **body)
+    tape.call("POST", "/v1/sessions", headers={"Idempotency-Key": "a b"}, note="a bad Idempotency-Key", **body)
     path = f"/v1/sessions/{sid}/frames"
     tape.call("POST", f"{path}?seq=-1", **raw(1))
     tape.call("POST", f"{path}?seq=9007199254740992", **raw(1))
     tape.call("POST", f"{path}?region=1,2,3", **raw(1))
-    tape.call("POST", path, content=b"GIF89a", headers={"Content-Type": "image/gif"}, told="GIF")
-    tape.call("POST", path, content=frame(1)[:900], headers={"Content-Type": "image/jpeg"}, told="a frame cut off")
-    tape.call("POST", path, content=b"", headers={"Content-Type": "image/jpeg"}, told="nothing")
+    tape.call("POST", path, content=b"GIF89a", headers={"Content-Type": "image/gif"}, note="GIF")
+    tape.call("POST", path, content=frame(1)[:900], headers={"Content-Type": "image/jpeg"}, note="a frame cut off")
+    tape.call("POST", path, content=b"", headers={"Content-Type": "image/jpeg"}, note="nothing")
     tape.call(
-        "POST", path, content=frame(1), headers={"Content-Type": "application/x-www-form-urlencoded"}, told="curl -d"
+        "POST", path, content=frame(1), headers={"Content-Type": "application/x-www-form-urlencoded"}, note="curl -d"
     )
     tape.call("POST", f"{path}?seq=9", **raw(1))
     tape.call("POST", f"{path}?seq=9", **raw(2))
-    tape.call("POST", path, content=_larger(), headers={"Content-Type": "image/png"}, told="a frame of another size")
+    tape.call("POST", path, content=_larger(), headers={"Content-Type": "image/png"}, note="a frame of another size")
     with tape.stream(sid) as talk:
         talk.hear()
         tape.call("POST", path, **raw(2))
@@ -414,7 +414,7 @@ def regions(tape: Tape) -> None:
         talk.hear()
     x, y, w, h = region
     body = {"content": part(4, x, y, w, h), "headers": {"Content-Type": "image/png"}}
-    tape.call("POST", f"/v1/sessions/{sid}/frames?region={x},{y},{w},{h}", told="4, cut for one target", **body)
+    tape.call("POST", f"/v1/sessions/{sid}/frames?region={x},{y},{w},{h}", note="4, cut for one target", **body)
     tape.call("GET", f"/v1/sessions/{sid}")
 
 
@@ -423,22 +423,22 @@ def rescale(tape: Tape) -> None:
     sid = create(tape, on_resize="rescale")
     tape.call("POST", f"/v1/sessions/{sid}/frames", **raw(1))
     body = {"content": _larger(), "headers": {"Content-Type": "image/png"}}
-    tape.call("POST", f"/v1/sessions/{sid}/frames", told="another size", **body)
+    tape.call("POST", f"/v1/sessions/{sid}/frames", note="another size", **body)
 
 
 def keys(tape: Tape) -> None:
     """With keys: who may do what, tickets, origins, quotas and limits."""
     mine, other = {"Authorization": f"Bearer {KEY}"}, {"X-API-Key": OTHER_KEY}
     form = {"files": {"frame": frame(0)}, "data": {"box": ",".join(map(str, BOX)), "options": json.dumps(PAPER)}}
-    tape.call("POST", "/v1/sessions", told="no key", **form)
+    tape.call("POST", "/v1/sessions", note="no key", **form)
     tape.call("GET", "/v1/sessions", headers={"Authorization": "Bearer wrong-key-0123456789"})
-    made = tape.call("POST", "/v1/sessions", headers=mine, told="form", **form)
+    made = tape.call("POST", "/v1/sessions", headers=mine, note="form", **form)
     sid = _named(tape, made.json()["id"])
     for headers in (mine, other):
         tape.call("GET", f"/v1/sessions/{sid}", headers=headers)
-    second = tape.call("POST", "/v1/sessions", headers=mine, told="form", **form).json()["id"]
+    second = tape.call("POST", "/v1/sessions", headers=mine, note="form", **form).json()["id"]
     _named(tape, second)
-    tape.call("POST", "/v1/sessions", headers=mine, told="one more than a key may have", **form)
+    tape.call("POST", "/v1/sessions", headers=mine, note="one more than a key may have", **form)
     path = f"/v1/sessions/{sid}/ticket"
     ticket = tape.call("POST", path, headers=mine).json()["ticket"]
     tape.name(ticket, "ticket")
@@ -469,9 +469,9 @@ def keys(tape: Tape) -> None:
     tape.call("GET", "/v1/capabilities", headers=mine)
     too_large = bytes(200_000)
     body = {"content": too_large, "headers": mine | {"Content-Type": "image/jpeg"}}
-    tape.call("POST", f"/v1/sessions/{sid}/frames", told="200,000 bytes", **body)
+    tape.call("POST", f"/v1/sessions/{sid}/frames", note="200,000 bytes", **body)
     body = {"content": too_large, "headers": mine | {"Content-Type": "application/json"}}
-    tape.call("PUT", f"/v1/sessions/{sid}/targets/0", told="200,000 bytes", **body)
+    tape.call("PUT", f"/v1/sessions/{sid}/targets/0", note="200,000 bytes", **body)
 
 
 SCENARIOS: dict[str, tuple[str, Scenario]] = {

@@ -104,7 +104,7 @@ class Tape:
         path: str,
         *,
         headers: Mapping[str, str] | None = None,
-        told: str = "",
+        note: str = "",
         shown: str = "",
         **body: Any,
     ) -> httpx2.Response:
@@ -112,7 +112,7 @@ class Tape:
         sent = {"X-Request-ID": REQUEST_ID} | dict(headers or {})
         response = self._http.request(method, path, headers=sent, **body)
         named = [f"{name}: {value}" for name, value in (headers or {}).items()]
-        self._write(">", "  ".join([f"{method} {shown or path}", *named, *filter(None, [told])]))
+        self._write(">", "  ".join([f"{method} {shown or path}", *named, *filter(None, [note])]))
         self.answered(response.status_code, response.headers.multi_items(), response.content)
         return response
 
@@ -181,15 +181,15 @@ class Talk:
         self.attached = False
         self._packs = socket.subprotocol == MSGPACK
 
-    def frame(self, data: bytes, told: str, **meta: Any) -> None:
+    def frame(self, data: bytes, note: str, **meta: Any) -> None:
         """Send a frame, with what is said about it."""
         if self._packs:
-            self._tape._write(">", f"frame {told} {json.dumps(meta)}")
+            self._tape._write(">", f"frame {note} {json.dumps(meta)}")
             self._socket.send(msgpack.packb({"type": "frame", **meta, "frame": data}))
             return
         if meta:
             self.send(type="meta", **meta)
-        self._tape._write(">", f"frame {told}")
+        self._tape._write(">", f"frame {note}")
         self._socket.send(data)
 
     def send(self, **message: Any) -> None:

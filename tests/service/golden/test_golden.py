@@ -61,7 +61,7 @@ def test_rounding_is_no_difference() -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "kept"),
+    ("written", "kept"),
     [
         ('{"queue_ms":1.25,"track_ms":0.0}', '{"queue_ms":<duration>,"track_ms":<duration>}'),
         ('{"title":"a \\"b\\"","status":400}', '{"title":"<sentence>","status":400}'),
@@ -69,8 +69,8 @@ def test_rounding_is_no_difference() -> None:
         ('{"code":"over-credit","retry_after_s":0.1}', '{"code":"over-credit","retry_after_s":0.1}'),
     ],
 )
-def test_variable_parts_are_masked_and_nothing_else(told: str, kept: str) -> None:
-    assert masked(told) == kept
+def test_variable_parts_are_masked_and_nothing_else(written: str, kept: str) -> None:
+    assert masked(written) == kept
 
 
 @pytest.mark.parametrize(

@@ -75,11 +75,11 @@ class Scenario:
         assert process.stdin is not None
         assert process.stdout is not None
         assert process.stderr is not None
-        told = {"url": url, "frames": self._files, "box": self._clip.box} | given
+        task = {"url": url, "frames": self._files, "box": self._clip.box} | given
         done = None
         try:
             async with asyncio.timeout(TIMEOUT_S):
-                process.stdin.write(json.dumps(told).encode())
+                process.stdin.write(json.dumps(task).encode())
                 process.stdin.close()
                 async for line in process.stdout:
                     message = json.loads(line)

@@ -83,22 +83,22 @@ async def test_encoded_frames_are_sent_as_they_are(pages: Pages, service: OwnSer
     said = [list(one[0].box) for one in in_process(clip, [clip.box])]
     async with opened(pages, service.url) as (run, _):
         for kind, codec in (("blob", "json"), ("bytes", "msgpack")):
-            told = await run("frames", clip, kind=kind, stream={"codec": codec})
-            assert told["boxes"] == said
-            assert told["encoder"] is None
+            report = await run("frames", clip, kind=kind, stream={"codec": codec})
+            assert report["boxes"] == said
+            assert report["encoder"] is None
 
 
 async def test_pixels_are_encoded_off_the_main_thread(pages: Pages, service: OwnServer, clip: Clip) -> None:
     """A worker does it, under a policy of `script-src 'self'; worker-src 'self'`."""
     async with opened(pages, service.url) as (run, page):
-        told = await run("frames", clip, kind="canvas", stream={"regions": False})
-        assert told["encoder"] == "worker"
+        report = await run("frames", clip, kind="canvas", stream={"regions": False})
+        assert report["encoder"] == "worker"
         assert any("encoder-worker.js" in worker.url for worker in page.workers) or not page.workers
-    assert told["violations"] == []
-    assert told["problems"] == []
-    assert np.mean(overlaps(told["boxes"], clip)) > 0.85
-    assert told["stats"]["encodeMs"] > 0
-    assert told["stats"]["bytesSaved"] == 0
+    assert report["violations"] == []
+    assert report["problems"] == []
+    assert np.mean(overlaps(report["boxes"], clip)) > 0.85
+    assert report["stats"]["encodeMs"] > 0
+    assert report["stats"]["bytesSaved"] == 0
 
 
 async def test_without_workers_the_main_thread_encodes(service: OwnServer, pages: Pages, clip: Clip) -> None:
@@ -139,8 +139,8 @@ async def test_regions_give_the_same_boxes_for_fewer_bytes(pages: Pages, service
 async def test_regions_in_latest(pages: Pages, service: OwnServer, clip: Clip) -> None:
     async with opened(pages, service.url) as (run, _):
         stream = {"mode": "latest", "regions": True}
-        told = await run("resumed", clip, kind="canvas", stream=stream, everyMs=20)
-    stats = told["stats"]
+        report = await run("resumed", clip, kind="canvas", stream=stream, everyMs=20)
+    stats = report["stats"]
     assert stats["answered"] > 20
     assert stats["bytesSaved"] > 0
     assert stats["refused"] <= stats["sent"] // 4
@@ -152,11 +152,11 @@ async def test_a_target_outside_of_the_cut(pages: Pages, service: OwnServer, cli
     width, height = clip.size
     other = [4, 4, width / 8, height / 8] if clip.box[0] > width / 2 else [width * 0.85, height * 0.8, 30, 30]
     async with opened(pages, service.url) as (run, _):
-        told = await run("elsewhere", clip, other=other, mode=mode)
-    assert told["region"] is not None
-    assert told["ids"] == [0, 1]
-    assert told["targets"] == 2
-    assert told["saved"] > 0
+        report = await run("elsewhere", clip, other=other, mode=mode)
+    assert report["region"] is not None
+    assert report["ids"] == [0, 1]
+    assert report["targets"] == 2
+    assert report["saved"] > 0
 
 
 async def test_regions_are_for_mobiles(pages: Pages, service: OwnServer, clip: Clip) -> None:
@@ -164,18 +164,18 @@ async def test_regions_are_for_mobiles(pages: Pages, service: OwnServer, clip: C
         assert await run("byDefault", clip) is False
     async with opened(pages, service.url, user_agent=PHONE, is_mobile=True, has_touch=True) as (run, _):
         assert await run("byDefault", clip) is True
-        told = await run("frames", clip, kind="canvas")
-    assert told["stats"]["bytesSaved"] > 0
+        report = await run("frames", clip, kind="canvas")
+    assert report["stats"]["bytesSaved"] > 0
 
 
 async def test_frames_are_scaled_to_what_was_asked(pages: Pages, service: OwnServer, clip: Clip) -> None:
     max_side = 240
     async with opened(pages, service.url) as (run, _):
-        told = await run("scaled", clip, size=clip.size, maxSide=max_side)
-    assert max(told["fitted"]) == max_side
-    assert told["fitted"] == told["encoded"] == told["size"] == told["after"]
-    assert told["bytes"] > 0
-    boxes = [[v / told["scale"] for v in box] for box in told["boxes"]]
+        report = await run("scaled", clip, size=clip.size, maxSide=max_side)
+    assert max(report["fitted"]) == max_side
+    assert report["fitted"] == report["encoded"] == report["size"] == report["after"]
+    assert report["bytes"] > 0
+    boxes = [[v / report["scale"] for v in box] for box in report["boxes"]]
     assert np.mean(overlaps(boxes, clip)) > 0.7
 
 
@@ -185,23 +185,23 @@ async def test_follows_a_camera(pages: Pages, service: OwnServer, clip: Clip, tm
     write_y4m(film, [decode(clip.frame(index), LIMITS)[0] for index in range(2 * len(clip.frames) - 2)])
     camera = f"--use-file-for-fake-video-capture={film}"
     async with opened(pages, service.url, camera, permissions=["camera"]) as (run, _):
-        told = await run("follow", clip, stream={"mode": "latest", "codec": "msgpack"}, fps=15, count=40)
-    assert len(told["seqs"]) == told["boxes"] == 40
-    assert told["seqs"] == sorted(told["seqs"])
-    assert told["skipped"] is None
-    assert told["taken"] is not None
-    assert told["ofTrack"] == told["taken"] + 1
-    stats = told["stats"]
+        report = await run("follow", clip, stream={"mode": "latest", "codec": "msgpack"}, fps=15, count=40)
+    assert len(report["seqs"]) == report["boxes"] == 40
+    assert report["seqs"] == sorted(report["seqs"])
+    assert report["skipped"] is None
+    assert report["taken"] is not None
+    assert report["ofTrack"] == report["taken"] + 1
+    stats = report["stats"]
     assert stats["sent"] == stats["answered"] + stats["dropped"]
     assert stats["skipped"] >= 1
-    assert told["encoder"] == "worker"
-    assert told["violations"] == []
+    assert report["encoder"] == "worker"
+    assert report["violations"] == []
 
 
 async def test_refusals_are_readable(pages: Pages, service: OwnServer, clip: Clip) -> None:
     async with opened(pages, service.url) as (run, _):
-        told = await run("refusals", clip)
-    assert {name: problem["code"] for name, problem in told.items()} == {
+        report = await run("refusals", clip)
+    assert {name: problem["code"] for name, problem in report.items()} == {
         "elsewhere": "attached-elsewhere",
         "taken": "attached-elsewhere",
         "nobody": "session-not-found",
@@ -210,7 +210,7 @@ async def test_refusals_are_readable(pages: Pages, service: OwnServer, clip: Cli
         "closed": "session-gone",
         "gone": "session-gone",
     }
-    assert told["gone"]["reason"] == "closed"
+    assert report["gone"]["reason"] == "closed"
 
 
 @pytest.mark.parametrize(("mode", "kind"), [("lossless", "blob"), ("lossless", "canvas"), ("latest", "canvas")])
@@ -226,17 +226,17 @@ async def test_resumes_through_cuts(pages: Pages, service: OwnServer, clip: Clip
         async with opened(pages, cable.url) as (run, page):
             cutting = asyncio.create_task(cutter(page))
             stream = {"mode": mode, "regions": kind == "canvas"}
-            told = await run("resumed", clip, kind=kind, stream=stream, everyMs=30)
+            report = await run("resumed", clip, kind=kind, stream=stream, everyMs=30)
             await cutting
-    assert told["stats"]["reconnects"] >= 3
-    assert told["statuses"].count("resuming") >= 3
-    assert told["statuses"][-1] == "closed"
-    seqs = [seq for seq, _ in told["boxes"]]
+    assert report["stats"]["reconnects"] >= 3
+    assert report["statuses"].count("resuming") >= 3
+    assert report["statuses"][-1] == "closed"
+    seqs = [seq for seq, _ in report["boxes"]]
     assert seqs == sorted(set(seqs))
-    assert seqs[-1] == told["seq"]
+    assert seqs[-1] == report["seq"]
     if mode == "lossless":
         assert len(seqs) == len(clip.frames) - 1
         if kind == "blob":
-            assert [box for _, box in told["boxes"]] == [list(one[0].box) for one in in_process(clip, [clip.box])]
+            assert [box for _, box in report["boxes"]] == [list(one[0].box) for one in in_process(clip, [clip.box])]
         else:
-            assert np.mean(overlaps([box for _, box in told["boxes"]], clip)) > 0.85
+            assert np.mean(overlaps([box for _, box in report["boxes"]], clip)) > 0.85

@@ -31,8 +31,8 @@ def test_types_fit_what_people_write(node: str) -> None:
 
 
 def test_types_name_what_is_there(node: str) -> None:
-    told = json.loads(output(node, "surface.mjs"))
-    assert told["declared"] == told["present"]
+    names = json.loads(output(node, "surface.mjs"))
+    assert names["declared"] == names["present"]
 
 
 def test_npm_package(node: str, tmp_path: Path) -> None:
@@ -60,14 +60,14 @@ def test_npm_package(node: str, tmp_path: Path) -> None:
 
 
 def test_vendored_files_are_those_of_the_package() -> None:
-    told = dict(
+    digests = dict(
         reversed(line.split()) for line in re.findall(r"^[0-9a-f]{64} .*$", (VENDOR / "README.md").read_text(), re.M)
     )
     there = {str(path.relative_to(VENDOR)) for path in (VENDOR / "msgpack").rglob("*") if path.is_file()}
-    assert set(told) == there
-    for name, digest in told.items():
+    assert set(digests) == there
+    for name, digest in digests.items():
         assert hashlib.sha256((VENDOR / name).read_bytes()).hexdigest() == digest
-    assert "msgpack/LICENSE" in told
+    assert "msgpack/LICENSE" in digests
 
 
 def test_no_module_is_long_or_reaches_outside() -> None:

@@ -41,16 +41,16 @@ class Rollout:
 
     async def _proxy_says(self, status: int) -> None:
         """Lead to a proxy that has nobody to ask, until a client was told so."""
-        told = asyncio.Event()
+        refused = asyncio.Event()
 
         async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             await reader.readuntil(b"\r\n\r\n")
             writer.write(PROXY_ANSWER % status)
             await writer.drain()
             writer.close()
-            told.set()
+            refused.set()
 
         proxy = await asyncio.start_server(answer, "127.0.0.1", 0)
         self.cable.lead_to(proxy.sockets[0].getsockname()[1])
-        await told.wait()
+        await refused.wait()
         proxy.close()

@@ -31,9 +31,9 @@ async def test_a_stream_goes_on_when_its_service_is_back(own_server: Serve, clip
     async with rollout.cable, AsyncClient(rollout.cable.url, timeout_s=10) as client:
         session, twin = [await client.create(clip.frames[0], clip.box) for _ in range(2)]
         undisturbed = [r.target async for r in twin.stream(clip.frames[1:FRAMES], mode="lossless")]
-        told: list[Resumed] = []
+        resumptions: list[Resumed] = []
         frames = (Frame(clip.frame(index), ts=index) for index in range(1, FRAMES))
-        stream = session.stream(frames, mode="lossless", on_resumed=told.append)
+        stream = session.stream(frames, mode="lossless", on_resumed=resumptions.append)
         results = [await anext(stream) for _ in range(5)]
         with watch(rollout.first):
             async with asyncio.TaskGroup() as both:
@@ -42,7 +42,7 @@ async def test_a_stream_goes_on_when_its_service_is_back(own_server: Serve, clip
         results += rest.result()
         assert [result.ts for result in results] == list(range(1, FRAMES))
         assert [result.target for result in results] == undisturbed
-        assert told[-1].lost_after is None
+        assert resumptions[-1].lost_after is None
         assert (await session.refresh()).seq == results[-1].seq
 
 

@@ -67,9 +67,9 @@ async def test_bad_frames(server: OwnServer, client: AsyncClient, clip: Clip, wa
                 async with attach(server, session.id, protocol=protocol, mode=mode) as stream:
                     await _over_stream(stream, clip, bad, said)
         for name, (_, code, _) in bad.items():
-            told = [record for record in log.lines(session=session.id) if record.get("code") == code]
+            written = [record for record in log.lines(session=session.id) if record.get("code") == code]
             wanted = sum(1 for _, other, _ in bad.values() if other == code)
-            assert len(told) == wanted, f"{name}: one line a refusal"
+            assert len(written) == wanted, f"{name}: one line a refusal"
 
 
 async def _over_stream(stream: Stream, clip: Clip, bad: dict[str, tuple[bytes, str, int]], said: list[Any]) -> None:
@@ -135,9 +135,9 @@ async def test_bad_boxes(server: OwnServer, client: AsyncClient, clip: Clip, box
         async with await client.create(clip.frames[0], clip.box) as session, attach(server, session.id) as stream:
             for control in ({"type": "add"}, {"type": "correct", "target": 0}):
                 await stream.say(**control, box=box, ref="r")
-                told = await stream.hear("error")
-                problem = told["problem"]
-                assert (problem["code"], problem["status"], told["ref"]) == ("bad-box", 422, "r")
+                error = await stream.hear("error")
+                problem = error["problem"]
+                assert (problem["code"], problem["status"], error["ref"]) == ("bad-box", 422, "r")
             for path, method in (("targets", "POST"), ("targets/0", "PUT")):
                 answer = await _msgpack_call(server, method, f"/v1/sessions/{session.id}/{path}", {"box": box})
                 assert (answer.status_code, answer.json()["code"]) == (422, "bad-box")

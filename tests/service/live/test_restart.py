@@ -69,10 +69,10 @@ async def test_streams_go_on_through_a_restart(own_server: Serve, clip: Clip, st
     async with AsyncClient(server.url) as client:
         lossless, latest, idle = [await client.create(clip.frames[0], clip.box, label="kept") for _ in range(3)]
         await idle.track(clip.frames[1])
-        told: list[Resumed] = []
+        resumptions: list[Resumed] = []
         streams = [
-            lossless.stream(paced(clip, 60), mode="lossless", on_resumed=told.append),
-            latest.stream(paced(clip, 60), on_resumed=told.append),
+            lossless.stream(paced(clip, 60), mode="lossless", on_resumed=resumptions.append),
+            latest.stream(paced(clip, 60), on_resumed=resumptions.append),
         ]
         got: list[list[Result]] = [[await anext(stream) for _ in range(5)] for stream in streams]
         collecting = [asyncio.create_task(_all(stream)) for stream in streams]
@@ -85,7 +85,7 @@ async def test_streams_go_on_through_a_restart(own_server: Serve, clip: Clip, st
         assert [result.ts for result in got[0]] == list(range(1, 60))
         for result in got[0]:
             assert_same(result.target, said[int(result.ts or 0) - 1][0])
-        assert [resumed.lost_after for resumed in told] == [None, None]
+        assert [resumed.lost_after for resumed in resumptions] == [None, None]
         assert [r.target.box for r in await lossless.trajectory()][1:] == [r.target.box for r in got[0]]
         info = await idle.refresh()
         assert (info.label, info.seq, info.size) == ("kept", 1, clip.size)
@@ -105,8 +105,8 @@ async def test_a_killed_service_loses_no_more_than_it_says(own_server: Serve, cl
     server = own_server(state_dir=state, checkpoint_every_frames=every)
     async with AsyncClient(server.url) as client:
         session, young = [await client.create(clip.frames[0], clip.box) for _ in range(2)]
-        told: list[Resumed] = []
-        stream = session.stream(paced(clip, 60), mode="lossless", on_resumed=told.append)
+        resumptions: list[Resumed] = []
+        stream = session.stream(paced(clip, 60), mode="lossless", on_resumed=resumptions.append)
         got = [await anext(stream) for _ in range(25)]
         collecting = asyncio.create_task(_all(stream))
         await asyncio.sleep(0.2)
@@ -114,9 +114,12 @@ async def test_a_killed_service_loses_no_more_than_it_says(own_server: Serve, cl
         await asyncio.to_thread(server.start)
         got += await collecting
         assert [result.ts for result in got] == list(range(1, 60))
-        assert len(told) == 1
-        assert told[0].seq >= 25 - 2 * every  # what is written may lag behind what is kept
-        assert told[0].lost_after in (None, told[0].seq)  # None if the last checkpoint was of the last result
+        assert len(resumptions) == 1
+        assert resumptions[0].seq >= 25 - 2 * every  # what is written may lag behind what is kept
+        assert resumptions[0].lost_after in (
+            None,
+            resumptions[0].seq,
+        )  # None if the last checkpoint was of the last result
         assert (await young.refresh()).seq == 0
         assert_same((await young.track(clip.frames[1])).target, in_process(clip, [clip.box])[0][0])
         past = [result.seq for result in await session.trajectory()]

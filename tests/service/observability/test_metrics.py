@@ -34,7 +34,7 @@ class NoLanes:
         return []
 
 
-def told(url: str) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
+def scraped(url: str) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
     text = httpx2.get(f"{url}/metrics").text
     return {
         (sample.name, tuple(sorted(sample.labels.items()))): sample.value
@@ -48,7 +48,7 @@ def test_every_stage_of_every_frame_is_counted(own_server: Any, clip: Clip, via:
     server: OwnServer = own_server()
     with Client(server.url) as client:
         session = client.create(clip.frames[0], box=clip.box)
-        before = told(server.url)
+        before = scraped(server.url)
         frames = clip.frames[1:21]
         results = (
             list(session.stream(frames, mode="lossless"))
@@ -56,7 +56,7 @@ def test_every_stage_of_every_frame_is_counted(own_server: Any, clip: Clip, via:
             else [session.track(frame) for frame in frames]
         )
         session.close()
-    after = told(server.url)
+    after = scraped(server.url)
 
     def grown(name: str, **labels: str) -> float:
         key = (name, tuple(sorted(labels.items())))

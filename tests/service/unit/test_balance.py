@@ -151,7 +151,7 @@ class Lane:
         monkeypatch.setattr("service.lanes.process.time.monotonic", lambda: self.clock)
         self.used: list[tuple[str, float]] = []
         self.process = LaneProcess(
-            0, on_ready=self.ignore, on_lost=self.ignore, on_used=lambda *told: self.used.append(told)
+            0, on_ready=self.ignore, on_lost=self.ignore, on_used=lambda *use: self.used.append(use)
         )
         self.socket = Socket()
         self.process._transport = self.socket  # type: ignore[assignment]

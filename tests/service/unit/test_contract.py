@@ -33,13 +33,13 @@ def check(document: dict[str, Any], schema: dict[str, Any], value: Any) -> None:
 
 def test_every_call_of_the_protocol_is_documented(openapi: dict[str, Any]) -> None:
     rows = re.findall(r"^\| `(GET|POST|PUT|DELETE) (/v1[^`?]*)", PROTOCOL.read_text(), re.M)
-    told = {
+    documented = {
         (method.upper(), path.replace("session_id", "id").replace("target_id", "tid"))
         for path, calls in openapi["paths"].items()
         for method in calls
         if path.startswith("/v1")
     }
-    assert set(rows) == told
+    assert set(rows) == documented
 
 
 def test_names_of_calls_are_plain(openapi: dict[str, Any]) -> None:
@@ -55,7 +55,7 @@ def test_what_a_caller_may_leave_out_is_optional_in_generated_types(openapi: dic
     for name in ("Options", "TicketBody", "CreateBody", "CreateForm", "FrameBody"):
         schema = openapi["components"]["schemas"][name]
         assert set(schema.get("required", ())) <= {"frame"}
-        assert not any("default" in told for told in schema["properties"].values())
+        assert not any("default" in one for one in schema["properties"].values())
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_every_answer_and_body_has_an_example_that_fits(openapi: dict[str, Any])
     seen = 0
     for path, calls in openapi["paths"].items():
         for method, call in calls.items():
-            contents = [told.get("content", {}) for told in call["responses"].values()]
+            contents = [answer.get("content", {}) for answer in call["responses"].values()]
             contents.append(call.get("requestBody", {}).get("content", {}))
             for content in contents:
                 for kind, media in content.items():
@@ -123,8 +123,8 @@ def test_every_problem_is_documented_with_its_example(openapi: dict[str, Any]) -
         code: example["value"]
         for calls in openapi["paths"].values()
         for call in calls.values()
-        for told in call["responses"].values()
-        for code, example in told.get("content", {}).get("application/problem+json", {}).get("examples", {}).items()
+        for answer in call["responses"].values()
+        for code, example in answer.get("content", {}).get("application/problem+json", {}).get("examples", {}).items()
     }
     # The first two are of no call in particular.
     assert set(CATALOGUE) - set(shown) == {"not-found", "method-not-allowed"}
@@ -146,11 +146,11 @@ def test_examples_fit_their_models() -> None:
 
 def test_what_the_service_says_of_itself_is_the_example() -> None:
     app = create_app(Settings(lanes=2))
-    told = capabilities.capabilities(app.state.service)
-    adapter(Capabilities).validate_python(told)
+    answer = capabilities.capabilities(app.state.service)
+    adapter(Capabilities).validate_python(answer)
     # The other packages are known once a lane is ready.
-    assert told | {"software": ...} == examples.CAPABILITIES | {"software": ...}
-    assert told["software"].items() <= examples.CAPABILITIES["software"].items()
+    assert answer | {"software": ...} == examples.CAPABILITIES | {"software": ...}
+    assert answer["software"].items() <= examples.CAPABILITIES["software"].items()
 
 
 def test_the_asyncapi_document_holds_together() -> None:

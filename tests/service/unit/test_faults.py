@@ -57,8 +57,8 @@ async def test_a_fault_over_http(http: httpx2.AsyncClient, lanes: FaultyLanes, f
     response = await create(http)
     assert response.status_code == 500
     assert response.headers["X-Request-ID"] == "mine-1"
-    told = response.json()
-    assert (told["code"], told["request_id"]) == ("internal", "mine-1")
+    answer = response.json()
+    assert (answer["code"], answer["request_id"]) == ("internal", "mine-1")
     assert "secret" not in response.text
     assert not lanes.keys
     lanes.fault = None
@@ -74,10 +74,10 @@ def test_a_fault_in_a_stream(lanes: FaultyLanes) -> None:
             assert json.loads(socket.receive_text())["type"] == "ready"
             lanes.fault = encode_reply("internal", [SECRET, {}])
             socket.send_bytes(JPEG)
-            told = json.loads(socket.receive_text())
-            assert (told["type"], told["seq"]) == ("error", 1)
-            assert (told["problem"]["code"], told["problem"]["request_id"]) == ("internal", "mine-2")
-            assert "secret" not in str(told)
+            answer = json.loads(socket.receive_text())
+            assert (answer["type"], answer["seq"]) == ("error", 1)
+            assert (answer["problem"]["code"], answer["problem"]["request_id"]) == ("internal", "mine-2")
+            assert "secret" not in str(answer)
             lanes.fault = None
             socket.send_bytes(JPEG)
             assert json.loads(socket.receive_text())["type"] == "result"

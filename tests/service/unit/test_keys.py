@@ -117,7 +117,7 @@ def test_files_as_editors_save_them(tmp_path: Path, encoding: str, end: str) -> 
 
 
 @pytest.mark.parametrize(
-    ("data", "told"),
+    ("data", "complaint"),
     [
         (KEYS[0].encode("utf-16"), "save it as UTF-8"),
         (KEYS[0].encode("utf-16-le"), "save it as UTF-8"),
@@ -128,10 +128,10 @@ def test_files_as_editors_save_them(tmp_path: Path, encoding: str, end: str) -> 
         (b"\xef\xbb\xbf# nothing else\r\n", "holds no key"),
     ],
 )
-def test_what_cannot_be_read_is_said(tmp_path: Path, data: bytes, told: str) -> None:
+def test_what_cannot_be_read_is_said(tmp_path: Path, data: bytes, complaint: str) -> None:
     file = tmp_path / "keys"
     file.write_bytes(data)
-    with pytest.raises(ValueError, match=told) as refused:
+    with pytest.raises(ValueError, match=complaint) as refused:
         Settings(api_keys_file=file)
     assert KEYS[0] not in str(refused.value)
 

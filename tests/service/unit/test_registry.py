@@ -392,10 +392,10 @@ async def test_a_session_does_not_end_idle_while_its_frame_is_being_received() -
 
 async def test_idle_time_of_restored_session_is_cut_to_limit() -> None:
     world = World(max_idle_timeout_s=60)
-    told = STATE | {"options": asdict(Options(idle_timeout_s=3600.0))}
+    state = STATE | {"options": asdict(Options(idle_timeout_s=3600.0))}
 
     async def restored(key: str, request: Buffers) -> bytes:
-        return encode_reply(None, told)
+        return encode_reply(None, state)
 
     world.lanes.call = restored  # type: ignore[method-assign]
     session = await world.registry.restore("me", b"snapshot", None)

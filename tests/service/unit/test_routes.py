@@ -49,7 +49,7 @@ class SomeLanes(Lanes):
 
 
 @pytest.mark.parametrize(
-    ("ready", "failing", "starting", "status", "told"),
+    ("ready", "failing", "starting", "status", "detail"),
     [
         (2, 0, 0, 200, "ok"),
         (1, 1, 0, 200, "ok"),
@@ -59,13 +59,13 @@ class SomeLanes(Lanes):
     ],
 )
 async def test_the_service_is_ready_as_long_as_one_lane_is(
-    ready: int, failing: int, starting: int, status: int, told: str
+    ready: int, failing: int, starting: int, status: int, detail: str
 ) -> None:
     transport = httpx2.ASGITransport(create_app(Settings(), lanes=SomeLanes(ready, failing, starting)))
     async with httpx2.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client:
         answer = await client.get("/readyz")
     body = answer.json()
-    assert (answer.status_code, body.get("detail", body["status"])) == (status, told)
+    assert (answer.status_code, body.get("detail", body["status"])) == (status, detail)
     assert (body["lanes_ready"], body["lanes"]) == (ready, ready + failing + starting)
 
 

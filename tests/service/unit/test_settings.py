@@ -94,9 +94,9 @@ def test_a_bad_setting_is_refused_by_its_name(
 ) -> None:
     monkeypatch.setenv(name, value)
     assert main(["serve"]) == 2
-    told = capsys.readouterr().err
-    assert name in told
-    assert len(told.splitlines()) == 1
+    printed = capsys.readouterr().err
+    assert name in printed
+    assert len(printed.splitlines()) == 1
 
 
 @pytest.mark.parametrize(
@@ -123,11 +123,11 @@ def test_beyond_loopback_needs_keys_or_a_word(monkeypatch: pytest.MonkeyPatch) -
 def test_the_help_shows_every_setting(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["serve", "--help"])
-    told = capsys.readouterr().out
+    printed = capsys.readouterr().out
     for name, field in Settings.model_fields.items():
-        assert f"MFCMT_{name.upper()}" in told
+        assert f"MFCMT_{name.upper()}" in printed
         assert field.description
-        assert field.description in told
+        assert field.description in printed
 
 
 def test_every_limit_says_its_unit() -> None:
@@ -148,5 +148,5 @@ def test_the_front_imports_no_pixels() -> None:
         "or m.startswith('mfcmt_core') and m.split('.', 1)[1:] not in "
         "([], ['cli'], ['cli.variables'], ['errors'], ['images'], ['images.header'])))"
     )
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert told.stdout.strip() == "[]"
+    printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert printed.stdout.strip() == "[]"

@@ -209,9 +209,9 @@ def test_full_disk_costs_bounded_memory_and_one_log_line(tmp_path: Path) -> None
         make_room()
         assert database.flush(20)
         database.close()
-    told = [line["event"] for line in lines]
-    assert told.count("sessions cannot be written") == 1
-    assert told.count("sessions are written again") == 1
+    events = [line["event"] for line in lines]
+    assert events.count("sessions cannot be written") == 1
+    assert events.count("sessions are written again") == 1
     database = opened(tmp_path)
     assert database.load() == ([], [])
     database.close()

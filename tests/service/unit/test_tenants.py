@@ -103,7 +103,7 @@ class Tenants(RuleBasedStateMachine):
             self.hang_up(sid)
         self.stack.close()
 
-    def told(self, tenant: int, response: Any) -> Any:
+    def checked(self, tenant: int, response: Any) -> Any:
         """The answer, once it is seen to hold nothing of the other's and nothing of ours."""
         text = response.content.decode("latin-1") + str(response.headers)
         assert response.status_code < 500 or response.json()["code"] == "at-capacity", text
@@ -140,12 +140,12 @@ class Tenants(RuleBasedStateMachine):
         response = self.http.post("/v1/sessions", files={"frame": JPEG}, data=form, headers=headers)
         if response.status_code == 400:  # used by oneself, with another body
             return multiple()
-        return self.made(tenant, self.told(tenant, response), label)
+        return self.made(tenant, self.checked(tenant, response), label)
 
     @rule(target=tickets, tenant=tenants, sid=ids, name=st.sampled_from(sorted(CALLS)))
     def ask(self, tenant: int, sid: str, name: str) -> Any:
         key = {"X-API-Key": KEYS[tenant]}
-        response = self.told(tenant, CALLS[name](self.http, f"/v1/sessions/{sid}", key))
+        response = self.checked(tenant, CALLS[name](self.http, f"/v1/sessions/{sid}", key))
         if self.owner[sid] != tenant:
             never = CALLS[name](self.http, f"/v1/sessions/{NEVER}", key)
             assert (response.status_code, response.content) == (never.status_code, never.content)
@@ -167,14 +167,16 @@ class Tenants(RuleBasedStateMachine):
     @rule(target=snapshots, sid=ids)
     def take(self, sid: str) -> Any:
         tenant = self.owner[sid]
-        response = self.told(tenant, self.http.get(f"/v1/sessions/{sid}/snapshot", headers={"X-API-Key": KEYS[tenant]}))
+        response = self.checked(
+            tenant, self.http.get(f"/v1/sessions/{sid}/snapshot", headers={"X-API-Key": KEYS[tenant]})
+        )
         return multiple() if sid not in self.alive else (tenant, response.content)
 
     @rule(target=ids, tenant=tenants, snapshot=snapshots)
     def restore(self, tenant: int, snapshot: tuple[int, bytes]) -> Any:
         owner, data = snapshot
         headers = {"X-API-Key": KEYS[tenant], "Content-Type": SNAPSHOT}
-        response = self.told(tenant, self.http.post("/v1/sessions", content=data, headers=headers))
+        response = self.checked(tenant, self.http.post("/v1/sessions", content=data, headers=headers))
         if owner != tenant:
             assert (response.status_code, response.json()["code"]) == (422, "bad-snapshot")
             return multiple()
@@ -182,7 +184,7 @@ class Tenants(RuleBasedStateMachine):
 
     @rule(tenant=tenants)
     def list_all(self, tenant: int) -> None:
-        response = self.told(tenant, self.http.get("/v1/sessions?limit=100", headers={"X-API-Key": KEYS[tenant]}))
+        response = self.checked(tenant, self.http.get("/v1/sessions?limit=100", headers={"X-API-Key": KEYS[tenant]}))
         mine = {sid for sid in self.alive if self.owner[sid] == tenant}
         assert {session["id"] for session in response.json()["sessions"]} == mine
 
@@ -216,7 +218,7 @@ class Tenants(RuleBasedStateMachine):
         try:
             socket = opened.__enter__()
         except WebSocketDenialResponse as denied:
-            code: str = self.told(tenant, denied).json()["code"]
+            code: str = self.checked(tenant, denied).json()["code"]
             return code
         if sid in self.streams:
             self.hang_up(sid)

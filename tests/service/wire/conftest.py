@@ -23,10 +23,10 @@ Answer = dict[str, Any]
 def problem(response: httpx2.Response) -> tuple[int, str]:
     """The status and the code of a refusal."""
     assert response.headers["content-type"] == "application/problem+json"
-    told = response.json()
-    assert told["status"] == response.status_code
-    assert told["type"] == f"/docs#{told['code']}"
-    return response.status_code, told["code"]
+    body = response.json()
+    assert body["status"] == response.status_code
+    assert body["type"] == f"/docs#{body['code']}"
+    return response.status_code, body["code"]
 
 
 class Stream:
@@ -100,8 +100,8 @@ class Wire:
     async def stream(
         self, sid: str, *, protocols: Any = ("mfcmt.v1.json",), headers: Any = None, **query: str
     ) -> AsyncIterator[Stream]:
-        told = "&".join(f"{name}={value}" for name, value in query.items())
-        url = f"ws{self.server.url[4:]}/v1/sessions/{sid}/stream?{told}"
+        text = "&".join(f"{name}={value}" for name, value in query.items())
+        url = f"ws{self.server.url[4:]}/v1/sessions/{sid}/stream?{text}"
         sent = self.headers | (headers or {})
         async with connect(
             url, subprotocols=list(protocols) or None, additional_headers=sent, compression=None, max_size=None

@@ -112,11 +112,11 @@ async def test_tickets_admit_once_and_to_their_session_alone(guarded: Wire, clip
     async def ticket(sid: str, **body: object) -> str:
         response = await guarded.http.post(f"/v1/sessions/{sid}/ticket", json=body)
         assert response.status_code == 201, response.text
-        told: str = response.json()["ticket"]
-        return told
+        ticket: str = response.json()["ticket"]
+        return ticket
 
-    def offer(told: str) -> list[str]:
-        return [f"mfcmt.ticket.{told}", "mfcmt.v1.msgpack"]
+    def offer(ticket: str) -> list[str]:
+        return [f"mfcmt.ticket.{ticket}", "mfcmt.v1.msgpack"]
 
     first, strayed, late = await ticket(sessions[0]), await ticket(sessions[0]), await ticket(sessions[0], ttl_s=0.2)
     key, guarded.headers = guarded.headers, {}

@@ -58,7 +58,7 @@ print(json.dumps(told))
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory: pytest.TempPathFactory, server: OwnServer) -> dict[str, object]:
+def outcomes(tmp_path_factory: pytest.TempPathFactory, server: OwnServer) -> dict[str, object]:
     """What became of each attempt."""
     here = tmp_path_factory.mktemp("confined")
     (here / "there").write_text("secret")
@@ -72,16 +72,16 @@ def told(tmp_path_factory: pytest.TempPathFactory, server: OwnServer) -> dict[st
 
 
 @pytest.mark.parametrize("attempt", ATTEMPTS)
-def test_a_confined_process_cannot(told: dict[str, object], attempt: str) -> None:
-    confined = told["confined"]
+def test_a_confined_process_cannot(outcomes: dict[str, object], attempt: str) -> None:
+    confined = outcomes["confined"]
     assert isinstance(confined, list)
     needed = NEEDED.get(attempt, [f"landlock-{version}" for version in range(6, 100)])
     require(sys.platform == "linux" and set(needed) & set(confined), f"this kernel gives {confined}")
-    assert told[attempt] in ("PermissionError", "OSError", "ConnectionRefusedError"), attempt
+    assert outcomes[attempt] in ("PermissionError", "OSError", "ConnectionRefusedError"), attempt
 
 
-def test_what_a_lane_needs_stays(told: dict[str, object]) -> None:
-    assert told["use a library"] == "done"
+def test_what_a_lane_needs_stays(outcomes: dict[str, object]) -> None:
+    assert outcomes["use a library"] == "done"
 
 
 def test_a_kernel_that_was_forgotten_is_compiled_in_memory(tmp_path: Path) -> None:
@@ -123,9 +123,9 @@ async def test_every_lane_is_confined(serve: Serve, clip: Clip) -> None:
             environment = Path(f"/proc/{pid}/environ").read_bytes().decode()
             assert "MFCMT_" not in environment
             assert not any(secret in environment for secret in SECRETS)
-    told = [json.loads(line) for line in wire.server.log.splitlines() if '"lane ready"' in line]
-    assert len(told) >= 2
-    for record in told:
+    outcomes = [json.loads(line) for line in wire.server.log.splitlines() if '"lane ready"' in line]
+    assert len(outcomes) >= 2
+    for record in outcomes:
         assert {"limits", "no-new-privileges"} <= set(record["confined"])
         if "no-network" in record["confined"]:
             spaces = {os.readlink(f"/proc/{pid}/ns/net") for pid in (*lanes, wire.server.pid)}
@@ -158,10 +158,10 @@ async def test_no_process_that_starts_later_knows_a_key(serve: Serve, clip: Clip
         await until_ready(wire, 2)
         assert (await wire.track(session["id"], clip.frames[1])).status_code == 200
         for process in psutil.Process(wire.server.pid).children(recursive=True):
-            told = process.environ()
+            outcomes = process.environ()
             held = memory(process.pid)
             for secret in (*SECRETS, filed, header):
-                assert not [name for name, value in told.items() if secret in value], process.cmdline()
+                assert not [name for name, value in outcomes.items() if secret in value], process.cmdline()
                 assert secret.encode() not in held, process.cmdline()
     # Nor can who may look into the front's environment, or a fork of it, read one there.
     environment = Path(f"/proc/{wire.server.pid}/environ").read_bytes()

@@ -88,12 +88,12 @@ async def test_a_refused_handshake_is_left_at_once(wire: Wire) -> None:
     """Its close frame is the last word: pings behind it are not even read."""
     pair, head = await attach(Wire(wire.server), "any", "Origin: http://elsewhere.example\r\n")
     assert b" 101 " in head
-    told = b""
-    while b"\x88" not in told:
-        told += await asyncio.wait_for(pair[0].read(1000), PATIENCE_S)
-    assert b"origin-refused" in told
+    received = b""
+    while b"\x88" not in received:
+        received += await asyncio.wait_for(pair[0].read(1000), PATIENCE_S)
+    assert b"origin-refused" in received
     pair[1].write(frame(PING, b"") * 100)
-    assert PONG not in told + await rest(pair)
+    assert PONG not in received + await rest(pair)
 
 
 async def test_too_many_pings_cut_a_stream_and_some_do_not(wire: Wire, clip: Clip) -> None:

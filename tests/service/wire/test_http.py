@@ -35,13 +35,13 @@ async def test_a_session_from_every_kind_of_body(wire: Wire, clip: Clip) -> None
     for body in bodies:
         response = await wire.http.post("/v1/sessions", **body)
         assert response.status_code == 201, response.text
-        told = response.json()
-        assert response.headers["Location"] == f"/v1/sessions/{told['id']}"
-        assert len(base64.urlsafe_b64decode(told["id"])) >= 16
-        assert told["targets"][0]["box"] == pytest.approx(box)
-        assert (told["seq"], told["size"], told["preset"]) == (0, list(clip.size), "default")
-        assert told["stream"] == {
-            "url": f"ws{wire.server.url[4:]}/v1/sessions/{told['id']}/stream",
+        answer = response.json()
+        assert response.headers["Location"] == f"/v1/sessions/{answer['id']}"
+        assert len(base64.urlsafe_b64decode(answer["id"])) >= 16
+        assert answer["targets"][0]["box"] == pytest.approx(box)
+        assert (answer["seq"], answer["size"], answer["preset"]) == (0, list(clip.size), "default")
+        assert answer["stream"] == {
+            "url": f"ws{wire.server.url[4:]}/v1/sessions/{answer['id']}/stream",
             "attached": False,
         }
 
@@ -119,10 +119,10 @@ async def test_frames_over_http_give_the_boxes_of_the_library(wire: Wire, clip: 
         assert response.status_code == 200, response.text
         image, _ = decode(frame, LIMITS)
         assert result["seq"] == n
-        for told, tracker in zip(result["targets"], trackers, strict=True):
+        for answer, tracker in zip(result["targets"], trackers, strict=True):
             said = tracker.update(image)
-            assert tuple(told["box"]) == said.box
-            assert (told["status"], told["psr"], told["scale"]) == (said.status, said.psr, said.scale)
+            assert tuple(answer["box"]) == said.box
+            assert (answer["status"], answer["psr"], answer["scale"]) == (said.status, said.psr, said.scale)
 
 
 async def test_bad_frames_over_http(wire: Wire, clip: Clip) -> None:
@@ -196,8 +196,8 @@ async def test_targets_come_and_go(wire: Wire, clip: Clip) -> None:
         assert (await wire.http.post(path, json={"box": box})).status_code == 201
     assert problem(await wire.http.post(path, json={"box": box})) == (422, "too-many-targets")
     assert (await wire.http.delete(f"{path}/0")).status_code == 204
-    told = (await wire.http.get(f"/v1/sessions/{session['id']}")).json()
-    assert [t["id"] for t in told["targets"]] == list(range(2, 17))
+    answer = (await wire.http.get(f"/v1/sessions/{session['id']}")).json()
+    assert [t["id"] for t in answer["targets"]] == list(range(2, 17))
 
 
 async def test_a_session_without_targets_goes_on(wire: Wire, clip: Clip) -> None:
@@ -260,13 +260,13 @@ async def test_what_is_no_call(wire: Wire) -> None:
 
 
 async def test_capabilities_and_health(wire: Wire) -> None:
-    told = (await wire.http.get("/v1/capabilities")).json()
-    assert (told["protocol"], told["presets"]) == (1, ["default", "paper"])
-    assert told["image_types"] == ["image/jpeg", "image/png", "image/webp"]
-    assert told["limits"]["max_frame_bytes"] == 8 * 1024 * 1024
-    assert {"mfcmt", "numpy", "opencv", "numba"} <= set(told["software"])
+    answer = (await wire.http.get("/v1/capabilities")).json()
+    assert (answer["protocol"], answer["presets"]) == (1, ["default", "paper"])
+    assert answer["image_types"] == ["image/jpeg", "image/png", "image/webp"]
+    assert answer["limits"]["max_frame_bytes"] == 8 * 1024 * 1024
+    assert {"mfcmt", "numpy", "opencv", "numba"} <= set(answer["software"])
     packed = await wire.http.get("/v1/capabilities", headers={"Accept": "application/msgpack"})
-    assert msgpack.unpackb(packed.content) == told
+    assert msgpack.unpackb(packed.content) == answer
     for path in ("/livez", "/readyz"):
         response = await wire.http.get(path)
         assert (response.status_code, response.json()["status"]) == (200, "ok")

@@ -30,20 +30,20 @@ async def test_the_past_in_four_formats(wire: Wire, clip: Clip) -> None:
         assert response.status_code == 200, response.text
         return response
 
-    told = (await past()).json()
-    assert told["id"] == session["id"]
-    assert [r["seq"] for r in told["results"]] == list(range(45))
-    assert told["results"][0]["targets"] == session["targets"]
-    for was, is_ in zip(results[40:], told["results"][41:], strict=False):
+    answer = (await past()).json()
+    assert answer["id"] == session["id"]
+    assert [r["seq"] for r in answer["results"]] == list(range(45))
+    assert answer["results"][0]["targets"] == session["targets"]
+    for was, is_ in zip(results[40:], answer["results"][41:], strict=False):
         assert all(is_[name] == was[name] for name in ("seq", "ts", "size", "region", "targets"))
-    assert len(told["results"][39]["targets"]) == 2  # the box added on the newest frame belongs to it
+    assert len(answer["results"][39]["targets"]) == 2  # the box added on the newest frame belongs to it
     assert [r["seq"] for r in (await past(after=42)).json()["results"]] == [43, 44]
     packed = await wire.http.get(f"{path}/trajectory", headers={"Accept": "application/msgpack"})
-    assert msgpack.unpackb(packed.content) == told
+    assert msgpack.unpackb(packed.content) == answer
     rows = list(csv.DictReader(io.StringIO((await past(format="csv", target=0)).text)))
     assert [int(row["seq"]) for row in rows] == list(range(45))
-    assert (rows[3]["ts"], rows[3]["status"]) == ("t,2", told["results"][3]["targets"][0]["status"])
-    boxes = [r["targets"][0]["box"] for r in told["results"]]
+    assert (rows[3]["ts"], rows[3]["status"]) == ("t,2", answer["results"][3]["targets"][0]["status"])
+    boxes = [r["targets"][0]["box"] for r in answer["results"]]
     otb = (await past(format="otb", target=0)).text.splitlines()
     assert [[float(v) for v in line.split(",")] for line in otb] == [[b[0] + 1, b[1] + 1, b[2], b[3]] for b in boxes]
     assert len((await past(format="otb", target=1)).text.splitlines()) == 6
@@ -65,13 +65,13 @@ async def test_a_snapshot_goes_on_bit_for_bit(wire: Wire, clip: Clip) -> None:
     assert taken.headers["content-type"] == SNAPSHOT
     restored = await wire.http.post("/v1/sessions", content=taken.content, headers={"Content-Type": SNAPSHOT})
     assert restored.status_code == 201, restored.text
-    told = restored.json()
-    assert told["id"] != session["id"]
-    assert (told["seq"], told["label"], told["preset"]) == (5, "kept", "paper")
-    assert told["targets"] == (await wire.http.get(path)).json()["targets"]
+    answer = restored.json()
+    assert answer["id"] != session["id"]
+    assert (answer["seq"], answer["label"], answer["preset"]) == (5, "kept", "paper")
+    assert answer["targets"] == (await wire.http.get(path)).json()["targets"]
     for frame in clip.frames[6:12]:
         one = (await wire.track(session["id"], frame)).json()
-        two = (await wire.track(told["id"], frame)).json()
+        two = (await wire.track(answer["id"], frame)).json()
         assert (one["targets"], one["region"], one["seq"]) == (two["targets"], two["region"], two["seq"])
         assert one["targets"][0]["maps"]
     for broken in (

@@ -239,11 +239,11 @@ async def test_an_idle_session_is_restored_with_all_its_targets(serve: Serve, cl
         assert (await wire.http.post(path, json={"box": [x, y + 5, w, h]})).status_code == 201
         assert (await wire.http.delete(f"{path}/1")).status_code == 204
         assert (await wire.http.put(f"{path}/7", json={"box": [x, y, w, h]})).status_code == 404
-    told = [(await wire.track(twin["id"], frame)).json()["targets"] for frame in clip.frames[2:6]]
+    undisturbed = [(await wire.track(twin["id"], frame)).json()["targets"] for frame in clip.frames[2:6]]
     os.kill(lanes_of(wire)[0], signal.SIGKILL)
     await until(lambda: "session restored" in wire.server.log)
     again = [(await wire.track(session["id"], frame)).json()["targets"] for frame in clip.frames[2:6]]
-    assert again == told
+    assert again == undisturbed
 
 
 async def test_a_lane_is_killed_in_the_middle_of_frames(serve: Serve, clip: Clip) -> None:

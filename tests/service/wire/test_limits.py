@@ -24,7 +24,7 @@ def two_keys(serve: Serve, **settings: object) -> tuple[Wire, Wire]:
     return first, Wire(first.server, {"X-API-Key": SECOND})
 
 
-def told(response: httpx2.Response) -> tuple[int, str]:
+def refusal_of(response: httpx2.Response) -> tuple[int, str]:
     assert int(response.headers["Retry-After"]) >= 1
     return response.status_code, response.json()["code"]
 
@@ -43,13 +43,13 @@ async def test_sessions_of_a_key(serve: Serve, clip: Clip) -> None:
     first, second = two_keys(serve, max_sessions_per_key=3, max_sessions_per_lane=8)
     made = await asyncio.gather(*(first.post(clip.frames[0], clip.box) for _ in range(8)))
     assert sorted(response.status_code for response in made) == [201] * 3 + [429] * 5
-    assert {told(response) for response in made if response.status_code == 429} == {(429, "over-quota")}
+    assert {refusal_of(response) for response in made if response.status_code == 429} == {(429, "over-quota")}
     for _ in range(3):
         await second.create(clip.frames[0], clip.box)
     mine = next(response.json()["id"] for response in made if response.status_code == 201)
     snapshot = (await first.http.get(f"/v1/sessions/{mine}/snapshot")).content
     kind = {"Content-Type": "application/vnd.mfcmt.snapshot"}
-    assert told(await first.http.post("/v1/sessions", content=snapshot, headers=kind)) == (429, "over-quota")
+    assert refusal_of(await first.http.post("/v1/sessions", content=snapshot, headers=kind)) == (429, "over-quota")
     assert (await first.http.delete(f"/v1/sessions/{mine}")).status_code == 204
     await first.create(clip.frames[0], clip.box)
 
@@ -99,7 +99,7 @@ async def test_frames_and_bytes_of_a_key(serve: Serve, clip: Clip) -> None:
         assert set(codes) == {"rate-limited"}
         assert answered <= 5
     responses = [await first.track(mine, clip.frames[1]) for _ in range(8)]
-    assert (429, "rate-limited") in {told(response) for response in responses if response.status_code != 200}
+    assert (429, "rate-limited") in {refusal_of(response) for response in responses if response.status_code != 200}
     assert (await second.track(theirs["id"], clip.frames[1])).status_code == 200
     assert (await first.http.get(f"/v1/sessions/{mine}")).json()["seq"] >= answered
 
@@ -138,12 +138,12 @@ async def test_revoked_keys_lose_their_streams(serve: Serve, clip: Clip, tmp_pat
     new = Wire(old.server, {"X-API-Key": SECOND})
     sessions = [(await old.create(clip.frames[0], clip.box))["id"] for _ in range(3)]
     unused = (await old.http.post(f"/v1/sessions/{sessions[2]}/ticket")).json()["ticket"]
-    told = (await old.http.post(f"/v1/sessions/{sessions[2]}/ticket")).json()["ticket"]
+    used = (await old.http.post(f"/v1/sessions/{sessions[2]}/ticket")).json()["ticket"]
     bare = Wire(old.server)
     async with (
         old.stream(sessions[0]) as revoked,
         new.stream(sessions[1]) as kept,
-        bare.stream(sessions[2], protocols=[f"mfcmt.ticket.{told}", "mfcmt.v1.json"]) as by_ticket,
+        bare.stream(sessions[2], protocols=[f"mfcmt.ticket.{used}", "mfcmt.v1.json"]) as by_ticket,
     ):
         file.write_text("short\n")
         await _logged(old, "the keys stay as they were")
@@ -161,7 +161,7 @@ async def test_revoked_keys_lose_their_streams(serve: Serve, clip: Clip, tmp_pat
                 pass
     async with new.stream(sessions[0]):  # the tenant's still
         pass
-    for secret in (FIRST, SECOND, told, unused):
+    for secret in (FIRST, SECOND, used, unused):
         assert secret not in old.server.log
 
 

@@ -143,14 +143,14 @@ async def test_a_region_that_does_not_fit_is_refused_and_says_what_does(
         ]
         for region, data in wrong:
             await stream.frame(data, region=region)
-            told = (await stream.hear("error"))["problem"]
-            assert (told["code"], told["status"]) == ("bad-region", 422)
-        nx, ny, nw, nh = told["region"]
+            refusal = (await stream.hear("error"))["problem"]
+            assert (refusal["code"], refusal["status"]) == ("bad-region", 422)
+        nx, ny, nw, nh = refusal["region"]
         assert x <= nx
         assert y <= ny
         assert nw <= w
         assert nh <= h
-        await stream.frame(cut(images[1], told["region"]), region=told["region"])
+        await stream.frame(cut(images[1], refusal["region"]), region=refusal["region"])
         await stream.hear("result")
 
 

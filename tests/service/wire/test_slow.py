@@ -148,8 +148,8 @@ def _padded(jpeg: bytes, size: int) -> bytes:
 
 def _connections(wire: Wire) -> int:
     """Established connections of the front."""
-    told = psutil.Process(wire.server.pid).net_connections("tcp")
-    return sum(connection.status == psutil.CONN_ESTABLISHED for connection in told)
+    connections = psutil.Process(wire.server.pid).net_connections("tcp")
+    return sum(connection.status == psutil.CONN_ESTABLISHED for connection in connections)
 
 
 async def test_too_many_connections_are_told_so(serve: Serve, clip: Clip) -> None:

@@ -272,10 +272,10 @@ async def test_http_acts_between_frames_and_the_stream_is_told(wire: Wire, clip:
     async with wire.stream(session["id"], mode="lossless") as stream:
         added = await wire.http.post(f"{path}/targets", json={"box": list(clip.box)})
         assert added.status_code == 201
-        told = await stream.hear("targets")
-        assert [t["id"] for t in told["targets"]] == [0, 1]
-        assert told["region"] == added.json()["region"]
-        assert "ref" not in told
+        message = await stream.hear("targets")
+        assert [t["id"] for t in message["targets"]] == [0, 1]
+        assert message["region"] == added.json()["region"]
+        assert "ref" not in message
         assert (await wire.http.delete(f"{path}/targets/1")).status_code == 204
         assert len((await stream.hear("targets"))["targets"]) == 1
         assert (await wire.http.get(path)).json()["stream"]["attached"] is True

@@ -64,10 +64,10 @@ async def test_a_wrong_session_is_told_what_is_wrong_and_what_to_do(wire: Wire, 
         ({"content": frame, "headers": JPEG}, "unsupported-media-type", "curl -F frame=@frame.jpg -F box=x,y,w,h"),
         ({"content": frame, "headers": FORM}, "unsupported-media-type", "curl -F frame=@frame.jpg -F box=x,y,w,h"),
     ]
-    for body, code, told in cases:
+    for body, code, advice in cases:
         response = await wire.http.post("/v1/sessions", **body)
         assert problem(response)[1] == code, response.text
-        assert told in response.json()["detail"], response.text
+        assert advice in response.json()["detail"], response.text
 
 
 async def test_a_wrong_frame_is_told_what_to_send(wire: Wire, clip: Clip) -> None:
@@ -93,10 +93,10 @@ async def test_a_bad_box_says_the_frames_size_and_the_order_and_knows_corners(wi
         ((9, 9, 0, 5), "w and h are above 0; a box is x, y, w, h", False),
     ]
     session = await wire.create(clip.frames[0], clip.box)
-    for box, told, corners in cases:
+    for box, advice, corners in cases:
         refused = await wire.post(clip.frames[0], box)
         assert problem(refused) == (422, "bad-box"), refused.text
-        assert told in refused.json()["detail"]
+        assert advice in refused.json()["detail"]
         assert ("corners" in refused.json()["detail"]) == corners
         assert "it is (" not in refused.json()["detail"]  # details are logged, and boxes never are
         added = await wire.http.post(f"/v1/sessions/{session['id']}/targets", json={"box": list(box)})
@@ -112,10 +112,10 @@ async def test_a_websocket_at_another_path_is_a_404_problem_with_a_request_id(wi
         response = refused.value.response
         assert (response.status_code, response.headers["content-type"]) == (404, "application/problem+json")
         assert response.headers["x-request-id"]
-        told = json.loads(response.body or b"")
-        assert told["code"] == "not-found"
-        assert "/v1/sessions/{session_id}/stream" in told["detail"]
-    origin = {"Origin": wire.server.url}  # a browser cannot read the answer, so it is told on the socket
+        body = json.loads(response.body or b"")
+        assert body["code"] == "not-found"
+        assert "/v1/sessions/{session_id}/stream" in body["detail"]
+    origin = {"Origin": wire.server.url}  # a browser cannot read the answer, so the socket says it
     async with connect(f"ws{wire.server.url[4:]}/v1/ws", additional_headers=origin) as socket:
         assert json.loads(await socket.recv())["problem"]["code"] == "not-found"
         with pytest.raises(ConnectionClosed):
@@ -127,7 +127,7 @@ async def test_a_websocket_at_another_path_is_a_404_problem_with_a_request_id(wi
 
 
 @pytest.mark.parametrize(
-    ("protocol", "what", "told"),
+    ("protocol", "what", "advice"),
     [
         ("json", "base64", "send the bytes of the JPEG as a binary message"),
         ("json", "data:", "send the bytes of the JPEG as a binary message"),
@@ -136,7 +136,7 @@ async def test_a_websocket_at_another_path_is_a_404_problem_with_a_request_id(wi
     ],
 )
 async def test_a_frame_sent_the_wrong_way_closes_the_stream_and_says_the_right_way(
-    wire: Wire, clip: Clip, protocol: str, what: str, told: str
+    wire: Wire, clip: Clip, protocol: str, what: str, advice: str
 ) -> None:
     session = await wire.create(clip.frames[0], clip.box)
     coded = base64.b64encode(clip.frames[1]).decode()
@@ -144,7 +144,7 @@ async def test_a_frame_sent_the_wrong_way_closes_the_stream_and_says_the_right_w
     async with wire.stream(session["id"], protocols=[f"mfcmt.v1.{protocol}"]) as stream:
         await stream.socket.send(sent)
         assert await stream.closed() == 4400
-        assert told in (stream.socket.close_reason or "")
+        assert advice in (stream.socket.close_reason or "")
 
 
 async def test_a_frame_in_a_json_message_is_told_to_be_binary(wire: Wire, clip: Clip) -> None:
@@ -173,8 +173,8 @@ async def test_every_get_has_its_head(wire: Wire, clip: Clip) -> None:
     assert refused.headers["allow"] == "GET, HEAD"
     nowhere = await wire.http.head(f"/v1/sessions/{sid}/frames")
     assert (nowhere.status_code, nowhere.headers["allow"]) == (405, "POST")
-    told = (await wire.http.get("/metrics")).text
-    assert 'mfcmt_http_requests_total{method="HEAD",path="/livez",status="200"}' in told
+    metrics = (await wire.http.get("/metrics")).text
+    assert 'mfcmt_http_requests_total{method="HEAD",path="/livez",status="200"}' in metrics
     # The connection goes on: nothing of a body is left on it.
     assert (await wire.http.get("/livez")).json()["status"] == "ok"
 
@@ -186,21 +186,21 @@ def test_a_service_that_has_just_started_says_that_no_lane_is_ready_yet(clip: Cl
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-    told: list[httpx2.Response] = []
+    answers: list[httpx2.Response] = []
     try:
         with httpx2.Client(base_url=f"http://127.0.0.1:{port}", timeout=30) as http:
             give_up = time.monotonic() + 180
-            while not (told and told[-1].status_code == 201) and time.monotonic() < give_up:
+            while not (answers and answers[-1].status_code == 201) and time.monotonic() < give_up:
                 try:
                     files, data = {"frame": clip.frames[0]}, {"box": ",".join(map(str, clip.box))}
-                    told.append(http.post("/v1/sessions", files=files, data=data))
+                    answers.append(http.post("/v1/sessions", files=files, data=data))
                 except httpx2.TransportError:
                     pass
                 time.sleep(0.02)
     finally:
         process.terminate()
         process.wait()
-    assert told[-1].status_code == 201, told[-1].text
-    assert problem(told[0]) == (503, "at-capacity")
-    assert told[0].json()["detail"].startswith("no lane is ready yet: the service has just started")
-    assert told[0].headers["Retry-After"] == "1"
+    assert answers[-1].status_code == 201, answers[-1].text
+    assert problem(answers[0]) == (503, "at-capacity")
+    assert answers[0].json()["detail"].startswith("no lane is ready yet: the service has just started")
+    assert answers[0].headers["Retry-After"] == "1"
