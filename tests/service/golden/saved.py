@@ -14,7 +14,7 @@ from pathlib import Path
 
 from service.load.own import OwnServer
 
-from .scenarios import create, plain, raw
+from .calls import create, plain, raw
 from .tape import HERE, Tape
 
 STATE = HERE / "state"
@@ -31,7 +31,7 @@ def write() -> None:
     for way in WAYS:
         with tempfile.TemporaryDirectory() as folder:
             with OwnServer(state_dir=folder, checkpoint_every_frames=10_000, **SETTINGS) as server:
-                _fill(Tape(server.url), way)
+                _fill(Tape(server), way)
                 if way == "killed":
                     time.sleep(1)  # what is written is written by a thread
                     os.kill(server.pid, signal.SIGKILL)
@@ -77,7 +77,7 @@ def take_up(way: str) -> str:
     try:
         (folder / "sessions.sqlite3").write_bytes(_read(way))
         with OwnServer(state_dir=folder, **SETTINGS) as server:
-            return _go_on(Tape(server.url))
+            return _go_on(Tape(server))
     finally:
         shutil.rmtree(folder)
 

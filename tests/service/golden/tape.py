@@ -19,7 +19,9 @@ from __future__ import annotations
 import base64
 import json
 import math
+import os
 import re
+import signal
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -31,6 +33,9 @@ import msgpack
 import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
+
+from service.load.own import OwnServer
+from service.load.usage import server_processes
 
 from .packed import image_or_bytes, text_of
 
@@ -50,7 +55,7 @@ _VERSION = re.compile(r'("(?:mfcmt|numpy|opencv|numba)":)"[^"]*"')
 _PICTURE = re.compile(r'"(iVBORw0KGgo[A-Za-z0-9+/=]*)"')
 _FLOAT = re.compile(r"(?<![\w.])-?\d+\.\d+(?:e[+-]?\d+)?(?![\w.])")
 _VARIABLE_HEADERS = {"date": "<date>", "content-length": "<length>"}
-_UNTOLD_HEADERS = ("connection", "keep-alive")
+_OMITTED_HEADERS = ("connection", "keep-alive")
 _PAGE = re.compile(r'("next":)"\d+"')
 
 
@@ -66,13 +71,13 @@ BOX = [65.0, 48.0, 30.0, 24.0]
 class Tape:
     """Records calls and streams of one server."""
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, server: OwnServer) -> None:
         self.lines: list[str] = []
-        self._url = url
+        self._server, self._url = server, server.url
         self._names: dict[str, str] = {}
         # No connection is used twice: the server may be another process by then.
         limits = httpx2.Limits(max_keepalive_connections=0)
-        self._http = httpx2.Client(base_url=url, timeout=30, limits=limits)
+        self._http = httpx2.Client(base_url=self._url, timeout=30, limits=limits)
         for header in ("accept", "accept-encoding", "user-agent"):
             del self._http.headers[header]
 
@@ -98,6 +103,16 @@ class Tape:
         """Write a heading."""
         self.lines.append(f"# {text}")
 
+    @contextmanager
+    def lane_suspended(self) -> Iterator[None]:
+        """Keep the server's first lane from working in this block, so that what is sent to it is not answered."""
+        lane = server_processes(self._server.pid)["lane 0"]
+        os.kill(lane, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            os.kill(lane, signal.SIGCONT)
+
     def call(
         self,
         method: str,
@@ -108,7 +123,7 @@ class Tape:
         shown: str = "",
         **body: Any,
     ) -> httpx2.Response:
-        """Make a call and record the answer; ``told`` and ``shown`` say in the transcript what body and path were."""
+        """Make a call and record the answer; ``note`` and ``shown`` say in the transcript what body and path were."""
         sent = {"X-Request-ID": REQUEST_ID} | dict(headers or {})
         response = self._http.request(method, path, headers=sent, **body)
         named = [f"{name}: {value}" for name, value in (headers or {}).items()]
@@ -129,7 +144,7 @@ class Tape:
                 kind = value
             if header == "content-length":
                 assert int(value) == len(content) or not content, (value, len(content))
-            if header not in _UNTOLD_HEADERS:
+            if header not in _OMITTED_HEADERS:
                 self._write("<", f"{header}: {_VARIABLE_HEADERS.get(header, value)}")
         for line in _lines(kind, content) if content else ():
             self._write("<", line)
