@@ -44,3 +44,11 @@ class RegionTooSmall(MFCMTError, ValueError):
         super().__init__(f"the cut {given} does not cover {needed}")
         self.given = given
         self.needed = needed
+
+
+class DataError(MFCMTError, ValueError):
+    """A data set or a result file of an evaluation cannot be used; the message names the file and the line."""
+
+
+class NoData(DataError):
+    """A folder holds no sequence at all."""

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import cv2
 
+from ..errors import DataError, NoData
 from ..otb import film
 from ..otb.between import between_keyframes, between_table
 from ..otb.catalogue import resolve
 from ..otb.dataset import Dataset
 from ..otb.document import Block, Picture, to_markdown
-from ..otb.errors import DataError, NoData
 from ..otb.fit import constants, fit, held_out, record_all
 from ..otb.layouts import LAYOUTS, open_dataset
 from ..otb.protocol import PROTOCOLS

@@ -12,10 +12,9 @@ from pathlib import Path
 import cv2
 
 from ..config import PRESETS, MFCMTConfig
-from ..errors import BadBox
+from ..errors import BadBox, DataError
 from ..exports import FORMATS, SUFFIXES, Options, Target
 from ..otb.catalogue import read_config
-from ..otb.errors import DataError
 from ..video import VideoError
 from ..video.write import check_target
 from . import UsageError

@@ -6,8 +6,8 @@ print(default.success, default.precision, default.fps)
 print(score(data, {"David": boxes}).success)      # boxes of your own, (N, 4), 0-based
 """
 
+from ..errors import DataError
 from .dataset import ATTRIBUTES, Dataset, Sequence, open_otb, otb_targets, read_boxes
-from .errors import DataError
 from .layouts import open_dataset
 from .protocol import PROTOCOLS, Run, ope, sre, tre
 from .results import ResultStore, read_result, write_boxes

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..config import PRESETS, MFCMTConfig
-from ..errors import BadConfig
-from .errors import DataError
+from ..errors import BadConfig, DataError
 from .peers import PEERS, Peer
 from .protocol import PROTOCOLS
 from .trackers import Engine, Entry, ResultFolder

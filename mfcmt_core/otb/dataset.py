@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from ..errors import DataError, NoData
 from ..images.files import BadImageFile, list_images, read_image
-from .errors import DataError, NoData
 from .metrics import Array, Mask
 from .video import SUFFIXES as VIDEO_SUFFIXES
 from .video import read_video_frame

@@ -8,11 +8,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from ..errors import DataError
 from ..video import VideoError
 from ..video.write import VideoWriter
 from .dataset import Image, Sequence
 from .document import PALETTE
-from .errors import DataError
 from .metrics import Array
 
 STRIP_COLUMNS = 3

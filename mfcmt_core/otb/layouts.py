@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..errors import DataError, NoData
 from ..images.files import list_images
 from .dataset import (
     ONE_BASED,
@@ -23,7 +24,6 @@ from .dataset import (
     open_otb,
     read_boxes,
 )
-from .errors import DataError, NoData
 from .metrics import Array
 from .video import SUFFIXES as VIDEO_SUFFIXES
 from .video import count_frames

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..config import PRESETS
+from ..errors import DataError
 from .catalogue import ABLATIONS, CHOICES, SYSTEMS, resolve
 from .compare import Difference, compare
 from .dataset import Dataset
 from .document import Block, Heading, Strong, Table, to_markdown
-from .errors import DataError
 from .peers import PEERS
 from .report import Results, machine, write_report
 from .score import Evaluation

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import DataError
 from .dataset import ONE_BASED, Sequence, read_boxes
-from .errors import DataError
 from .metrics import Array
 from .protocol import Run
 from .score import Speed

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..errors import DataError
 from .dataset import Dataset, Sequence
-from .errors import DataError
 from .metrics import Array, overlap
 from .pool import plan, run_jobs
 from .protocol import PROTOCOLS, Run

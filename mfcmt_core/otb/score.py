@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from ..errors import DataError
 from . import metrics
 from .dataset import NO_AREA, ONE_BASED, Dataset, Sequence
-from .errors import DataError
 from .metrics import Array, Mask
 from .protocol import PROTOCOLS, Run, to_original_size
 

@@ -14,10 +14,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..config import MFCMTConfig
+from ..errors import DataError
 from ..geometry import Image
 from ..tracker import MFCMT
 from .dataset import read_boxes
-from .errors import DataError
 from .results import Record, read_record
 from .score import Speed
 from .trust import STATUSES

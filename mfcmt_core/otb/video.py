@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from ..errors import DataError
 from ..video import SUFFIXES, Frame, VideoError, VideoReader
-from .errors import DataError
 
 __all__ = ["SUFFIXES", "count_frames", "read_video_frame"]
 
