@@ -48,20 +48,32 @@ class Metrics:
         self.tracing = tracing
         self.registry = CollectorRegistry()
 
-        def counter(name: str, text: str, **known: Iterable[str]) -> Counter:
-            """Values of a single label that are ``known`` are there from the start, at zero: a rate over a series
-            that begins with the first fault would miss that fault."""
-            made = Counter(name, text, tuple(known), registry=self.registry)
-            for value in next(iter(known.values()), ()):
-                made.labels(value)
-            return made
+        self._make_admission()
+        self._make_frames()
+        self._make_streams_and_lanes()
+        self._make_stages()
+        self._make_recovery()
+        self._by_stream = self.frames_received.labels(via="stream")
+        self._by_http = self.frames_received.labels(via="http")
 
-        def seconds(name: str, text: str, buckets: tuple[float, ...] = SECONDS) -> Histogram:
-            return Histogram(name, text, buckets=buckets, registry=self.registry)
+    def _counter(self, name: str, text: str, **known: Iterable[str]) -> Counter:
+        """Return a counter. Values of a single label that are ``known`` are there from the start, at zero.
 
-        def sizes(name: str, text: str) -> Histogram:
-            return Histogram(name, text, buckets=SIZES, registry=self.registry)
+        A rate over a series that begins with the first fault would miss that fault.
+        """
+        made = Counter(name, text, tuple(known), registry=self.registry)
+        for value in next(iter(known.values()), ()):
+            made.labels(value)
+        return made
 
+    def _seconds(self, name: str, text: str, buckets: tuple[float, ...] = SECONDS) -> Histogram:
+        return Histogram(name, text, buckets=buckets, registry=self.registry)
+
+    def _sizes(self, name: str, text: str) -> Histogram:
+        return Histogram(name, text, buckets=SIZES, registry=self.registry)
+
+    def _make_admission(self) -> None:
+        counter = self._counter
         self.sessions_created = counter("mfcmt_sessions_created_total", "Sessions created or restored", preset=Preset)
         self.sessions_closed = counter("mfcmt_sessions_closed_total", "Sessions ended", reason=EndReason)
         self.refused_sessions = counter(
@@ -69,6 +81,9 @@ class Metrics:
             "Sessions refused because no place was free",
             reason=("at-capacity", "draining", "over-quota"),
         )
+
+    def _make_frames(self) -> None:
+        counter = self._counter
         self.frames_received = counter(
             "mfcmt_frames_received_total", "Frame messages and calls", via=("stream", "http")
         )
@@ -76,11 +91,18 @@ class Metrics:
         self.frames_dropped = counter("mfcmt_frames_dropped_total", "Frames that were not tracked", reason=DROPS)
         self.problems = counter("mfcmt_problems_total", "Refusals sent to clients", code=CATALOGUE)
         self.requests = counter("mfcmt_http_requests_total", "HTTP calls answered", method=(), path=(), status=())
+
+    def _make_streams_and_lanes(self) -> None:
+        counter = self._counter
         self.streams = Gauge("mfcmt_ws_connections", "Attached streams", registry=self.registry)
         self.stream_closes = counter(
             "mfcmt_ws_closes_total", "Streams closed by the service", code=(str(int(code)) for code in CLOSES)
         )
         self.lane_restarts = counter("mfcmt_lane_restarts_total", "Lanes replaced", cause=CAUSES)
+
+    def _make_stages(self) -> None:
+        """Make what a frame's way is measured by, and the event loop."""
+        counter, seconds = self._counter, self._seconds
         self.receive_seconds = seconds(
             "mfcmt_frame_receive_seconds", "Time from a frame's arrival to the queue: parsing and checks", SHORT_SECONDS
         )
@@ -114,6 +136,9 @@ class Metrics:
             registry=self.registry,
         )
         highest.set_function(lambda: self.lag.highest_s)
+
+    def _make_recovery(self) -> None:
+        counter, seconds, sizes = self._counter, self._seconds, self._sizes
         self.snapshot_bytes = sizes("mfcmt_snapshot_bytes", "Size of snapshots sent to clients")
         self.checkpoint_bytes = sizes("mfcmt_checkpoint_bytes", "Size of checkpoints")
         self.checkpoints = counter("mfcmt_checkpoints_total", "Checkpoints of sessions", reason=WHYS)
@@ -130,9 +155,6 @@ class Metrics:
         self.state_write_failures = counter(
             "mfcmt_state_write_failures_total", "Writes that failed and are tried again"
         )
-
-        self._by_stream = self.frames_received.labels(via="stream")
-        self._by_http = self.frames_received.labels(via="http")
 
     def watch_byte_budget(self, budget: ByteBudget) -> None:
         """Export how much of ``budget`` is in use."""
