@@ -27,7 +27,7 @@ log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.auth")
 
 
 @dataclass(frozen=True, slots=True)
-class Ticket:
+class IssuedTicket:
     """The session that a ticket opens, and the identity of its owner."""
 
     identity: Identity
@@ -46,7 +46,7 @@ class Authenticator:
         self._admin = digest(settings.admin_key.get_secret_value()) if settings.admin_key else None
         self._origins = frozenset(settings.allowed_origins)
         self._hosts = Hosts(settings.host, settings.public_url) if self._open else None
-        self._tickets: TTLCache[Ticket] = TTLCache(settings.max_tickets, settings.ticket_s, clock)
+        self._tickets: TTLCache[IssuedTicket] = TTLCache(settings.max_tickets, settings.ticket_s, clock)
 
     def refresh(self) -> bool:
         """Read the key file again if it has changed and is at rest. Return whether the keys have changed.
@@ -148,7 +148,7 @@ class Authenticator:
     def issue(self, identity: Identity, session: str, seconds: float) -> str:
         """Return a new ticket for one handshake, valid for ``seconds``."""
         ticket = secrets.token_urlsafe(32)
-        self._tickets.put(identity.owner, digest(ticket).hex(), Ticket(identity, session), seconds)
+        self._tickets.put(identity.owner, digest(ticket).hex(), IssuedTicket(identity, session), seconds)
         return ticket
 
     def redeem(self, protocols: Sequence[str], session: str) -> Identity | None:

@@ -24,6 +24,6 @@ def usable_memory(cgroup: Path = CGROUP) -> int:
     return machine
 
 
-def room_bytes() -> int:
+def budget_bytes() -> int:
     """Return the default of ``max_upload_bytes``: an eighth of the memory, from 128 to 512 MiB."""
     return max(LEAST, min(MOST, usable_memory() // SHARE))

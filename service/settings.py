@@ -20,7 +20,7 @@ from pydantic_settings import (
 from mfcmt_core.cli.variables import OWN, PREFIX, unread_variables
 
 from . import environment
-from .container import room_bytes
+from .container import budget_bytes
 from .keys import LEAST_CHARACTERS, check_key, read_keys
 from .lanes.cores import default_lanes
 
@@ -101,7 +101,7 @@ class Settings(BaseSettings):
     max_body_bytes: int = Field(default=64 * 1024, ge=1024, description="bytes of a body or message without a frame")
     max_snapshot_bytes: int = Field(default=64 * MIB, ge=1024, description="bytes of a snapshot that a client sends")
     max_upload_bytes: int = Field(
-        default_factory=room_bytes,
+        default_factory=budget_bytes,
         ge=1024,
         description="bytes under way at once: bodies, messages, waiting frames, unread answers",
     )

@@ -15,9 +15,9 @@ __all__ = ["ABORT_EXTENSION", "LEAVE_EXTENSION", "OVER_CONNECTION_LIMIT", "SHARE
 SPARE_FILES = 256
 
 
-def protocols(settings: Settings, room: ByteBudget) -> tuple[type[CallProtocol], type[FrameProtocol]]:
+def protocols(settings: Settings, budget: ByteBudget) -> tuple[type[CallProtocol], type[FrameProtocol]]:
     """Return the classes of both kinds of connections, bound to ``settings`` and the byte budget, for uvicorn."""
-    members = {"settings": settings, "room": room}
+    members = {"settings": settings, "budget": budget}
     return type("Calls", (CallProtocol,), members), type("Frames", (FrameProtocol,), members)
 
 

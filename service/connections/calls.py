@@ -54,7 +54,7 @@ class CallProtocol(HttpToolsProtocol):
     """Parses one call at a time. The bytes behind it wait, and all bytes that the connection holds are counted."""
 
     settings: Settings
-    room: ByteBudget
+    budget: ByteBudget
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Start the clock of the first head."""
@@ -65,7 +65,7 @@ class CallProtocol(HttpToolsProtocol):
         self._head_bytes = self._unparsed = self._body_left = self._unread_bytes = self._empty_lines = (
             self._list_bytes
         ) = 0
-        self._share = Reservation(self.room)
+        self._share = Reservation(self.budget)
         self._head_timer, self._write_timer = Timer(self.loop), Timer(self.loop)
         if len(self.connections) > CUT_ABOVE * self.settings.max_connections:
             transport.abort()

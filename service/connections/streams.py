@@ -43,14 +43,14 @@ class FrameProtocol(WebSocketsSansIOProtocol):
     """Cuts clients that flood or stop reading, and counts the bytes that the connection holds."""
 
     settings: Settings
-    room: ByteBudget
+    budget: ByteBudget
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._reader = self.conn.reader = PacedReader()
         self.conn.parser = self.conn.parse()  # reads from the new reader
         next(self.conn.parser)
-        self._share = Reservation(self.room)
+        self._share = Reservation(self.budget)
         self._idle_frames = TokenBucket(self.settings.max_control_frames_per_s, time.monotonic())
         self._queued_bytes = self._unread_bytes = self._in_a_row = 0
         self._begun_at = 0.0

@@ -25,7 +25,7 @@ REGION_FRAMES, REGION_EVERY = 300, 5
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class Goal:
     """A measured figure and its target: at most, or at least, ``limit``."""
 
     name: str
@@ -43,7 +43,7 @@ class Target:
 class Report:
     """All targets, and the measurements behind them."""
 
-    targets: list[Target] = field(default_factory=list)
+    targets: list[Goal] = field(default_factory=list)
     work: list[Work] = field(default_factory=list)
     runs: dict[str, Outcome] = field(default_factory=dict)
     at_rest: dict[str, Usage] = field(default_factory=dict)
@@ -94,19 +94,19 @@ def measure(clip: Clip, seconds: float, sequences: Path | None, say: Callable[[s
     return report
 
 
-def _targets(report: Report, session_mb: float) -> list[Target]:
+def _targets(report: Report, session_mb: float) -> list[Goal]:
     wall_ms = sum(work.wall_ms for work in report.work) / len(report.work)
     cpu_ms = sum(work.cpu_ms for work in report.work) / len(report.work)
     runs = report.runs
     one, two = (sum(report.lane_rates[lanes]) for lanes in ("1", "2"))
     return [
-        Target("CPU a frame, service over in-process", runs["saturated"].cpu_ms / cpu_ms, 1.35, "x"),
-        Target("round trip p50 beyond the work, unloaded", runs["unloaded"].p50_ms - wall_ms, 0.6, "ms"),
-        Target("throughput of two lanes over one", two / one, 1.7, "x", at_least=True),
-        Target("p95 at twice the sustainable rate, over the work", runs["overload"].p95_ms / wall_ms, 2.5, "x"),
-        Target("p95 beside a flood, over alone", runs["beside"].p95_ms / runs["alone"].p95_ms, 2.0, "x"),
-        Target("memory of a session in its lane", session_mb, 4.0, "MB"),
-        Target("bytes of a region, 50 px at VGA", report.savings[0].p50, 0.2, "x"),
+        Goal("CPU a frame, service over in-process", runs["saturated"].cpu_ms / cpu_ms, 1.35, "x"),
+        Goal("round trip p50 beyond the work, unloaded", runs["unloaded"].p50_ms - wall_ms, 0.6, "ms"),
+        Goal("throughput of two lanes over one", two / one, 1.7, "x", at_least=True),
+        Goal("p95 at twice the sustainable rate, over the work", runs["overload"].p95_ms / wall_ms, 2.5, "x"),
+        Goal("p95 beside a flood, over alone", runs["beside"].p95_ms / runs["alone"].p95_ms, 2.0, "x"),
+        Goal("memory of a session in its lane", session_mb, 4.0, "MB"),
+        Goal("bytes of a region, 50 px at VGA", report.savings[0].p50, 0.2, "x"),
     ]
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from .clips import Clip
 from .regions import Saving
-from .report import Report, Target
+from .report import Goal, Report
 from .run import Outcome
 from .usage import MB, Usage
 from .work import Work
@@ -78,6 +78,6 @@ def _saving(saving: Saving) -> str:
     return f"  {saving.name:<18}{target:<24}{numbers}"
 
 
-def _target(target: Target) -> str:
+def _target(target: Goal) -> str:
     sign, mark = ">=" if target.at_least else "<=", "met" if target.met else "MISSED"
     return f"  {target.name:<48}{target.measured:10.2f} {target.unit:<3}{sign} {target.limit:<5g} {mark}"

@@ -14,42 +14,42 @@ TEXT, BINARY = 1, 2
 
 
 @dataclass
-class Flow:
+class Direction:
     """One direction of one connection."""
 
     data: bytearray = field(default_factory=bytearray)
 
 
 class _Heard:
-    def __init__(self, reader: asyncio.StreamReader, flow: Flow) -> None:
-        self._reader, self._flow = reader, flow
+    def __init__(self, reader: asyncio.StreamReader, direction: Direction) -> None:
+        self._reader, self._direction = reader, direction
 
     async def read(self, most: int) -> bytes:
         data = await self._reader.read(most)
-        self._flow.data += data
+        self._direction.data += data
         return data
 
 
 class Tap(Cable):
-    """``flows`` come in pairs, up and down."""
+    """``directions`` come in pairs, up and down."""
 
     def __init__(self, port: int) -> None:
         super().__init__(port)
-        self.flows: list[Flow] = []
+        self.directions: list[Direction] = []
 
     async def _carry(self, source: asyncio.StreamReader, sink: asyncio.StreamWriter) -> None:
-        flow = Flow()
-        self.flows.append(flow)
-        await super()._carry(_Heard(source, flow), sink)  # type: ignore[arg-type]
+        direction = Direction()
+        self.directions.append(direction)
+        await super()._carry(_Heard(source, direction), sink)  # type: ignore[arg-type]
 
     def streams(self) -> list[tuple[list[Any], list[Any]]]:
         """The messages of each WebSocket, sent and received: bytes, or what JSON says."""
-        pairs = [(up.data, down.data) for up, down in zip(self.flows[::2], self.flows[1::2], strict=True)]
+        pairs = [(up.data, down.data) for up, down in zip(self.directions[::2], self.directions[1::2], strict=True)]
         return [(list(_messages(up)), list(_messages(down))) for up, down in pairs if b"/stream" in up[:200]]
 
     def created(self) -> tuple[bytes, list[list[float]]]:
         """The image and the boxes that the newest session was created with."""
-        body = [body for flow in self.flows[::2] for body in _posted(bytes(flow.data))][-1]
+        body = [body for up in self.directions[::2] for body in _posted(bytes(up.data))][-1]
         parts = [part.partition(b"\r\n\r\n") for part in body.split(body[: body.index(b"\r\n")])]
         frame, boxes = (
             next(content[:-2] for head, _, content in parts if b'name="%s"' % name in head)

@@ -13,7 +13,7 @@ from service.load.clips import Clip, open_clip
 from service.load.drive import Pace
 from service.load.own import OwnServer
 from service.load.regions import savings, small_target_clip
-from service.load.report import Report, Target
+from service.load.report import Goal, Report
 from service.load.run import load, run_loop
 from service.load.text import of_report
 from service.load.usage import server_processes, server_usage
@@ -130,7 +130,7 @@ def test_savings_of_regions() -> None:
 
 
 def test_a_missed_target_is_told() -> None:
-    report = Report(targets=[Target("a", 1.0, 2.0, "x"), Target("b", 1.0, 2.0, "x", at_least=True)])
+    report = Report(targets=[Goal("a", 1.0, 2.0, "x"), Goal("b", 1.0, 2.0, "x", at_least=True)])
     assert [one["met"] for one in report.as_dict()["targets"]] == [True, False]
     lines = of_report(report, small_target_clip(2)).splitlines()
     assert lines[-2].endswith("<= 2     met")

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from prometheus_client import CollectorRegistry, Histogram
 
 from service.api.trajectory import ROWS_AT_ONCE, _some
-from service.container import LEAST, MOST, room_bytes, usable_memory
+from service.container import LEAST, MOST, budget_bytes, usable_memory
 from service.observability.lag import WINDOW_S, Lag
 from service.observability.sampled import LINES_A_SECOND, Sampled
 from service.protocol.documents import MAX_ITEMS_IN_ALL, MAX_TEXT_BYTES, Unreadable, from_json, from_msgpack, to_msgpack
@@ -38,8 +38,8 @@ class Clock:
 
 
 def test_single_owner_gets_half_of_the_budget() -> None:
-    room = ByteBudget(120)
-    first, second, third = (Reservation(room, owner) for owner in ("a", "b", "c"))
+    budget = ByteBudget(120)
+    first, second, third = (Reservation(budget, owner) for owner in ("a", "b", "c"))
     assert not first.resize(61)
     assert first.resize(60)
     assert second.resize(30)
@@ -52,33 +52,33 @@ def test_single_owner_gets_half_of_the_budget() -> None:
 
 
 def test_held_bytes_move_with_their_owner() -> None:
-    room = ByteBudget(100)
-    share = Reservation(room)
+    budget = ByteBudget(100)
+    share = Reservation(budget)
     assert share.resize(40)
     share.assign("a")
-    assert Reservation(room, ANONYMOUS).resize(30)
-    assert not Reservation(room, "a").resize(1)
+    assert Reservation(budget, ANONYMOUS).resize(30)
+    assert not Reservation(budget, "a").resize(1)
     share.resize(0)
-    assert room.held == 30
+    assert budget.held == 30
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 80)), max_size=60))
 def test_byte_budget_counts_right_for_any_sequence(steps: list[tuple[int, int]]) -> None:
-    room = ByteBudget(100)
-    shares, held = [Reservation(room, str(n % 2)) for n in range(4)], [0] * 4
+    budget = ByteBudget(100)
+    shares, held = [Reservation(budget, str(n % 2)) for n in range(4)], [0] * 4
     for who, size in steps:
         if shares[who].resize(size):
             held[who] = size
-        assert room.held == sum(held) <= 100
+        assert budget.held == sum(held) <= 100
     for share in shares:
         share.resize(0)
-    assert (room.held, room._held_by) == (0, {})
+    assert (budget.held, budget._held_by) == (0, {})
 
 
 @pytest.mark.parametrize("mode", list(Mode))
 def test_frames_that_wait_count_until_they_are_answered(mode: Mode) -> None:
-    room = ByteBudget(100)
-    queue = FrameQueue(mode, 4, lambda: None, Reservation(room, "a"))
+    budget = ByteBudget(100)
+    queue = FrameQueue(mode, 4, lambda: None, Reservation(budget, "a"))
 
     def put(seq: int, size: int) -> None:
         queue.put_frame(QueuedFrame(bytes(size), seq, None, None, 0.0, 0.0), [])
@@ -90,17 +90,17 @@ def test_frames_that_wait_count_until_they_are_answered(mode: Mode) -> None:
         with pytest.raises(ProblemError, match="at-capacity"):
             put(3, 45)
         queue.answered(job)
-        assert room.held == 20
+        assert budget.held == 20
         put(4, 25)
-        assert room.held == (25 if mode == "latest" else 45)
+        assert budget.held == (25 if mode == "latest" else 45)
         job = await queue.next()
         queue.discard()
         queue.answered(job)
-        assert room.held == 0
+        assert budget.held == 0
         queue.close()
 
     asyncio.run(scenario())
-    assert room.held == 0
+    assert budget.held == 0
 
 
 def test_refusals_above_their_rate_come_late_and_not_ever_later() -> None:
@@ -168,7 +168,7 @@ def test_a_stall_is_told_for_half_a_minute_at_least_and_then_forgotten() -> None
     assert lag.highest_s == 0.002
 
 
-def test_the_room_follows_the_containers_memory(tmp_path: Path) -> None:
+def test_the_byte_budget_follows_the_containers_memory(tmp_path: Path) -> None:
     assert usable_memory(tmp_path) == usable_memory()
     (tmp_path / "memory").mkdir()
     (tmp_path / "memory" / "memory.limit_in_bytes").write_text("1073741824\n")
@@ -177,8 +177,8 @@ def test_the_room_follows_the_containers_memory(tmp_path: Path) -> None:
     assert usable_memory(tmp_path) == 2 << 30
     (tmp_path / "memory.max").write_text("max\n")
     assert usable_memory(tmp_path) == usable_memory(tmp_path / "nowhere")
-    assert LEAST <= room_bytes() <= MOST
-    assert Settings().max_upload_bytes == room_bytes()
+    assert LEAST <= budget_bytes() <= MOST
+    assert Settings().max_upload_bytes == budget_bytes()
 
 
 def test_documents_of_too_many_items_are_refused_unread() -> None:
