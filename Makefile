@@ -1,5 +1,6 @@
 # Everything starts here: `make serve`, `make test`. Each target sets up what it needs: the packages that serving needs
-# (requirements.lock), and for tests and lint those of development besides (requirements-dev.lock).
+# (requirements.lock), the reader of video files that `mfcmt track` needs (.ci/video.lock), and for tests and lint those
+# of development besides (requirements-dev.lock).
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -16,7 +17,7 @@ BYTECODE := $(if $(PYTHONDONTWRITEBYTECODE),env -u PYTHONDONTWRITEBYTECODE PYTHO
 PYTEST := $(BYTECODE) $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 LOCK := uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q -U
 
-.PHONY: help setup video warmup serve demo test test-fast test-docker fresh lint lock bench peers bench-peers eval reproduce guide clean
+.PHONY: help setup warmup serve demo test test-fast test-docker fresh lint lock bench peers bench-peers eval reproduce guide clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -37,15 +38,13 @@ $(VIDEO): .ci/video.lock $(SERVING)
 	@$(BIN)/python .ci/install.py .ci/video.lock
 	@touch $@
 
-video: $(VIDEO)  ## add what video files need to .venv: FFmpeg's libraries, 104 MB; `make setup` has them
-
 warmup: $(SERVING)  ## compile the kernels for this CPU (half a minute once, then nothing)
 	@$(BIN)/mfcmt warmup
 
-serve: warmup  ## run the tracking service on http://127.0.0.1:8000
+serve: $(VIDEO) warmup  ## run the tracking service on http://127.0.0.1:8000
 	@$(BIN)/mfcmt serve
 
-demo: warmup  ## open the page in the browser, with the sample clip running
+demo: $(VIDEO) warmup  ## open the page in the browser, with the sample clip running
 	@$(BIN)/mfcmt demo
 
 test: $(DEVELOPMENT) warmup  ## run the tests, a process on each core; TESTS="tests/core -k geometry" for some

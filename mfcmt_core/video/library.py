@@ -15,7 +15,7 @@ def library() -> ModuleType:
     try:
         import av
     except ImportError as absent:
-        raise VideoError("video files need the package av: run make video, or pip install 'mfcmt[video]'") from absent
+        raise VideoError("video files need the package av: pip install 'mfcmt[video]'") from absent
     logger = logging.getLogger("libav")
     logger.addHandler(logging.NullHandler())
     logger.propagate = False
