@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 
 PREFIX = "MFCMT_"
-OWN = ("MFCMT_OTB_ROOT", "MFCMT_CI")
+OWN = ("MFCMT_OTB_ROOT", "MFCMT_NANOTRACK", "MFCMT_CI")
 """Variables of the command and the tests, which are no settings of the service."""
 OF_CLUSTERS = re.compile(r"MFCMT_(\w+_)?(SERVICE_(HOST|PORT)(_\w+)?|PORT_\d+_(TCP|UDP)(_\w+)?)|MFCMT_VERSION")
 """Variables that Kubernetes and Docker set for a service whose name begins with ``mfcmt``, and compose's image tag."""

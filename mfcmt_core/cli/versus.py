@@ -58,7 +58,7 @@ def measure(materials: Iterable[Material], preset: str, all_frames: int | None =
     scores = {e.name: Evaluation(e.name, "OPE", {}) for e in entries}
     medians: dict[str, dict[str, float]] = {e.name: {} for e in entries}
     alive: dict[str, list[float]] = {e.name: [] for e in entries}
-    left_out = [f"{p.name}: {p.lacks} is not installed" for p in peers if p.lacks]
+    left_out = [f"{p.name}: needs {p.lacks}" for p in peers if p.lacks]
     spreads: dict[str, dict[str, float | None]] = {"one": {}, "least": {}}
     frames = 0
     with Progress(all_frames and all_frames * len(entries)) as bar:

@@ -1,15 +1,18 @@
-"""Trackers of other libraries, for comparison: OpenCV's CSRT, KCF and MOSSE, dlib's correlation tracker.
+"""Trackers of other libraries, for comparison: those of OpenCV, NanoTrack among them, and dlib's correlation tracker.
 
-They need ``opencv-contrib-python-headless`` (which replaces the plain wheel) and ``dlib``, so they live in an
-environment of their own.
+CSRT, KCF and MOSSE need ``opencv-contrib-python-headless`` (which replaces the plain wheel), and dlib's tracker
+``dlib``, so they live in an environment of their own. NanoTrack, a small network, needs its two files:
+``MFCMT_NANOTRACK`` names their folder.
 """
 
 from __future__ import annotations
 
 import importlib
 import importlib.util
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -18,6 +21,8 @@ from ..geometry import Image
 from ..result import Box
 
 _cv: Any = cv2  # the type stubs of the plain wheel do not know the contrib trackers
+NANOTRACK = "MFCMT_NANOTRACK"
+NANOTRACK_FILES = ("nanotrack_backbone_sim.onnx", "nanotrack_head_sim.onnx")
 
 
 class OpenCVPeer:
@@ -76,10 +81,24 @@ def _kcf() -> Any:
     return _cv.TrackerKCF_create(parameters)
 
 
+def _nano_files() -> list[Path]:
+    """Return the backbone and the head of NanoTrack, whether they are there or not."""
+    folder = Path(os.environ.get(NANOTRACK) or ".")
+    return [folder / name for name in NANOTRACK_FILES]
+
+
+def _nano() -> Any:
+    parameters = _cv.TrackerNano_Params()
+    parameters.backbone, parameters.neckhead = map(str, _nano_files())
+    return _cv.TrackerNano_create(parameters)
+
+
 _OPENCV: dict[str, tuple[str, Callable[[], Any]]] = {
     "opencv-csrt": ("TrackerCSRT_create", lambda: _cv.TrackerCSRT_create()),
     "opencv-kcf": ("TrackerKCF_create", _kcf),
     "opencv-mosse": ("legacy", lambda: _cv.legacy.TrackerMOSSE_create()),
+    "opencv-mil": ("TrackerMIL_create", lambda: _cv.TrackerMIL_create()),
+    "opencv-nano": ("TrackerNano_create", _nano),
 }
 
 PEERS = (*_OPENCV, "dlib")
@@ -103,7 +122,11 @@ class Peer:
         """What must be installed before :meth:`make` works; None where nothing is missing."""
         if self.peer == "dlib":
             return None if importlib.util.find_spec("dlib") else "dlib"
-        return None if hasattr(_cv, _OPENCV[self.peer][0]) else "opencv-contrib-python-headless"
+        if not hasattr(_cv, _OPENCV[self.peer][0]):
+            return "opencv-contrib-python-headless"
+        if self.peer == "opencv-nano" and not all(path.is_file() for path in _nano_files()):
+            return f"NanoTrack's two files ({NANOTRACK} names the folder)"
+        return None
 
     def make(self) -> OpenCVPeer | DlibPeer:
         """A tracker that has not started."""

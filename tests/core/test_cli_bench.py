@@ -209,7 +209,7 @@ def test_a_peer_s_speed_counts_only_on_frames_where_it_is_alive(monkeypatch):
     assert "times_ours" not in rows["dead"]
     assert "auc" not in rows["broken"]
     assert sorted(report["left_out"]) == [
-        "absent: something is not installed",
+        "absent: needs something",
         "broken on motion: RuntimeError",
         "speed of dead on motion: alive on 2 of 19 frames",
     ]
@@ -217,7 +217,7 @@ def test_a_peer_s_speed_counts_only_on_frames_where_it_is_alive(monkeypatch):
     text = versus.table(report)
     assert "slower than a peer on:\n  none" in text
     assert "left out:" in text
-    assert "absent: something is not installed" in text
+    assert "absent: needs something" in text
     assert json.loads(json.dumps(report, allow_nan=False)) == report
 
 

@@ -63,6 +63,24 @@ def test_dlib(otb_root: Path) -> None:
     assert Peer("dlib", "dlib").identity["code"].startswith("dlib ")
 
 
+def test_nanotrack_needs_its_two_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MFCMT_NANOTRACK", str(tmp_path))
+    assert "MFCMT_NANOTRACK" in (Peer("nano", "opencv-nano").lacks or "")
+
+
+def test_nanotrack_follows_a_pedestrian(otb_root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = otb_root.parent / "peers" / "nanotrackv2"
+    require(folder.is_dir(), f"no files of NanoTrack at {folder}")
+    monkeypatch.setenv("MFCMT_NANOTRACK", str(folder))
+    crossing = open_otb(otb_root)["Crossing"]
+    assert Peer("nano", "opencv-nano").lacks is None
+    tracker = Peer("nano", "opencv-nano").make()
+    tracker.init(crossing.read(0), crossing.boxes[0])
+    boxes = [tracker.update(crossing.read(i)) for i in range(1, 12)]
+    assert np.linalg.norm(np.array(boxes)[:, :2] - crossing.boxes[1:12, :2], axis=1).max() < 20
+    assert 0 <= tracker.confidence <= 1
+
+
 TWO_FRAMES = """
 import json, sys
 from pathlib import Path
