@@ -38,7 +38,7 @@ MIN_LOOK_SIDE = 3
 MAX_LOOK_PIXELS = 32_000
 """Largest number of pixels of that frame; it keeps the search at half of an update."""
 LOOK_SCALES = (1.0, 0.75, 1.33)
-"""Sizes at which the looks are searched, as multiples of the target's last size; one in each frame."""
+"""Sizes at which the looks are searched, as multiples of the target's last size, unless that is fixed."""
 MIN_SECOND_HEIGHT = 0.5
 """Smallest height of the second peak, as a fraction of the highest."""
 
@@ -62,10 +62,12 @@ class Looks:
     """What the target looked like, and a search of the whole frame for it.
 
     ``first`` and ``latest`` are gray boxes of (SIDE, SIDE) float32: that of the first frame, and the last one that was
-    sure. ``known`` is True once there are any, and ``turn`` counts the searches: each is for one look at one size.
+    sure. ``known`` is True once there are any, and ``turn`` counts the searches: each is for one look at one of
+    ``scales``, which are multiples of the target's last size.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, scales: tuple[float, ...] = LOOK_SCALES) -> None:
+        self.scales = scales
         self.first: npt.NDArray[np.float32] = np.zeros((SIDE, SIDE), np.float32)
         self.latest: npt.NDArray[np.float32] = np.zeros((SIDE, SIDE), np.float32)
         self.known = False
@@ -83,7 +85,7 @@ class Looks:
         The likeness is the normalized cross-correlation. None if there is no look, or the box does not fit.
         """
         self.turn += 1
-        scale *= LOOK_SCALES[self.turn // 2 % len(LOOK_SCALES)]
+        scale *= self.scales[self.turn // 2 % len(self.scales)]
         (width, height), (w, h) = frame.size, (side * scale for side in base_size)
         shrink = min(1.0, LOOK_SIDE / sqrt(w * h), sqrt(MAX_LOOK_PIXELS / (width * height)))
         size = (max(1, round(width * shrink)), max(1, round(height * shrink)))

@@ -125,7 +125,8 @@ class Search:
         if target.color:
             yield propose_by_color(target.color, self.frame, target.base_size, scale), scale
         if proposal := target.looks.propose(self.frame, target.base_size, scale):
-            yield proposal
+            place, scale = proposal
+            yield place, target.scale_model.clamp(scale, self.frame.size) if target.scale_model else scale
 
     def _merit(self, candidate: Candidate) -> float:
         """Return by what candidates are compared: the confidence, or where that does not decide, the peaks."""

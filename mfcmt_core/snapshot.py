@@ -185,6 +185,8 @@ def restore(target: Target, state: State) -> None:
     if target.scale_model and state.version == WITH_REAL_WAVES:
         waves, sums, energy = (expected[name] for name in ("scale_waves", "scale_sums", "scale_energy"))
         target.scale_model.load_real_waves(waves, sums, energy)
+    if max(target.looks.first.max(), target.looks.latest.max()) > 255:
+        raise BadSnapshot("looks brighter than a pixel can be")
     if target.template:
         target.template.refresh()
     if target.color:

@@ -14,7 +14,7 @@ from .config import MFCMTConfig
 from .features import usable_cues
 from .fourier import Spectra
 from .geometry import CELL, Frame, Image, Patch, Rect, SearchWindow, convert_channels
-from .redetection import Looks
+from .redetection import LOOK_SCALES, Looks
 from .reliability import Reliability
 from .result import Box
 from .scale import ScaleModel
@@ -99,7 +99,7 @@ class Target:
         self.scale_model = ScaleModel(config, base_size) if config.num_scales > 1 else None
         self.reliability = Reliability(config)
         self.confidence = Confidence()
-        self.looks = Looks()
+        self.looks = Looks(LOOK_SCALES if self.scale_model else (1.0,))
         self.learn_within = config.learn_within
         self.largest_step = config.scale_step * (1 + 1e-6)  # rounding
         names = (self.template.names if self.template else ()) + (("statistical",) if self.color else ())

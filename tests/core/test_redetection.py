@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import cv2
+import msgpack
 import numpy as np
 import pytest
 
-from mfcmt_core import MFCMT, MFCMTConfig, synthetic
+from mfcmt_core import MFCMT, BadSnapshot, MFCMTConfig, synthetic
 from mfcmt_core.confidence import BoxPixels
 from mfcmt_core.geometry import Frame
+from mfcmt_core.kernels.appearance import SIDE
 from mfcmt_core.otb.metrics import overlap
 from mfcmt_core.redetection import LOOK_SCALES, Looks
 
@@ -127,3 +129,19 @@ def test_a_snapshot_in_the_middle_of_a_search_goes_on_as_the_tracker_does(scene)
     frame, _ = paste(scene, (60, 150), 0.75)
     for _ in range(2 * PATIENCE):
         assert restored.update(frame) == tracker.update(frame)
+
+
+def test_a_target_of_fixed_size_comes_back_at_that_size(scene):
+    tracker = gone(scene, DEFAULT.replace(num_scales=1), seconds=20)
+    frame, _ = paste(scene, (60, 150), 1.0)
+    results = [tracker.update(frame) for _ in range(2 * PATIENCE)]
+    assert results[-1].status == "tracking"
+    assert {result.scale for result in results} == {1.0}
+
+
+def test_a_snapshot_with_looks_that_no_pixel_has_is_refused(scene):
+    document = msgpack.unpackb(gone(scene).to_bytes())
+    look = document["arrays"]["search_look_latest"]
+    look["data"] = np.full((SIDE, SIDE), 256, "<f4").tobytes()
+    with pytest.raises(BadSnapshot, match="looks"):
+        MFCMT.from_bytes(msgpack.packb(document))
