@@ -36,8 +36,8 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "always-scale": {"scale_when_reliable": False},
     "no-scale": {"num_scales": 1},
 }
-"""``<preset>-<ablation>``: a preset with one thing taken away or one thing left. Colour names keep the raw
-pixels, since grey sequences have nothing else."""
+"""``<preset>-<ablation>``: a preset with one thing taken away or one thing left. Color names keep the raw
+pixels, since gray sequences have nothing else."""
 
 CHOICES: dict[str, dict[str, Any]] = {
     "target-window": {"window": "target", "search_area_scale": 2.0},
@@ -82,7 +82,7 @@ _TEMPLATE_ONLY: dict[str, Any] = {
 }
 
 SYSTEMS: dict[str, dict[str, Any]] = {
-    # Bertinetto et al., 2016: HOG and colour histogram, fixed merge, every frame learned
+    # Bertinetto et al., 2016: HOG and color histogram, fixed merge, every frame learned
     "staple": {
         **_AS_PUBLISHED,
         **FIXED_MERGE,
@@ -97,7 +97,7 @@ SYSTEMS: dict[str, dict[str, Any]] = {
         "foreground_fraction": 0.8,
         "num_scales": 33,
     },
-    # Li and Zhu, 2014: raw pixels, HOG and colour names in one filter
+    # Li and Zhu, 2014: raw pixels, HOG and color names in one filter
     "samf": {
         **_TEMPLATE_ONLY,
         "features": ("gray", "fhog", "color_names"),
@@ -126,7 +126,7 @@ SYSTEMS: dict[str, dict[str, Any]] = {
         "average": "filter",
         "num_scales": 1,
     },
-    # Danelljan et al., 2014: colour names beside the raw pixels
+    # Danelljan et al., 2014: color names beside the raw pixels
     "cn": {
         **_TEMPLATE_ONLY,
         "features": ("gray", "color_names"),
@@ -154,7 +154,7 @@ SYSTEMS: dict[str, dict[str, Any]] = {
         "average": "spectra",
         "num_scales": 1,
     },
-    # Possegger et al., 2015: the colour histogram alone
+    # Possegger et al., 2015: the color histogram alone
     "dat": {
         **_AS_PUBLISHED,
         "features": (),
@@ -172,7 +172,7 @@ SYSTEMS["dcf"] = SYSTEMS["kcf"]
 
 
 def named_config(name: str) -> MFCMTConfig | None:
-    """The configuration of a preset, of a preset with a change, or of a system; None for another name."""
+    """Return the configuration of a preset, of a preset with a change, or of a system; None for another name."""
     if name in PRESETS:
         return MFCMTConfig.preset(name)
     if name in SYSTEMS:
@@ -189,9 +189,9 @@ def named_config(name: str) -> MFCMTConfig | None:
 
 
 def resolve(text: str, results: Path | None = None) -> Entry | ResultFolder:
-    """The tracker that ``text`` (``NAME``, ``PATH`` or ``LABEL=NAME``, ``LABEL=PATH``) means.
+    """Return the tracker that ``text`` names: ``NAME``, ``PATH``, ``LABEL=NAME`` or ``LABEL=PATH``.
 
-    A peer whose library is not installed takes part by what another environment left in ``results``.
+    A peer whose library is not installed takes part with the files that another environment left in ``results``.
     Raises DataError for an unknown name and for a configuration that is not valid.
     """
     label, _, what = text.rpartition("=")
@@ -214,9 +214,9 @@ def resolve(text: str, results: Path | None = None) -> Entry | ResultFolder:
 
 
 def read_config(path: Path) -> MFCMTConfig:
-    """A configuration in TOML or JSON: fields of MFCMTConfig and ``base``, the name to start from.
+    """Read a configuration in TOML or JSON: fields of MFCMTConfig and ``base``, the name to start from.
 
-    Raises DataError.
+    Raises DataError if the file cannot be read, or is not a valid configuration.
     """
     try:
         text = path.read_text(encoding="utf-8")

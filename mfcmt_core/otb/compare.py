@@ -32,7 +32,7 @@ class Difference:
 
     @property
     def is_evidence(self) -> bool:
-        """Whether the interval leaves out 0."""
+        """Return whether the interval leaves out 0."""
         return self.low > 0 or self.high < 0
 
 
@@ -44,10 +44,11 @@ def compare(
     samples: int = 10_000,
     seed: int = 0,
 ) -> Difference:
-    """Paired bootstrap of the difference in ``success``, ``precision`` or ``norm_precision``.
+    """Return the difference in ``success``, ``precision`` or ``norm_precision`` with its bootstrap interval.
 
-    The sequences are drawn with replacement, the same for both trackers (Efron, 1979: percentile interval).
-    Raises DataError where the two have no sequence in common.
+    The sequences are drawn with replacement, the same ones for both trackers; the interval is the percentile
+    interval of Efron (1979), https://doi.org/10.1214/aos/1176344552.
+    Raises DataError if the two have no sequence in common.
     """
     common = [name for name in tracker.scores if name in reference.scores]
     if not common:

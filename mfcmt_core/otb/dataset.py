@@ -66,9 +66,9 @@ class Sequence:
 
     @classmethod
     def of(cls, name: str, frames: Iterable[Path], boxes: Array, first: int = 1) -> Sequence:
-        """A sequence from 0-based boxes ``(N, 4)``; frames where these have no area or NaN are not scored.
+        """Return a sequence with 0-based boxes ``(N, 4)``; a frame whose box has no area or NaN is not scored.
 
-        Raises DataError where none has a box.
+        Raises DataError if no frame has a box.
         """
         valid: Mask = np.all(np.isfinite(boxes) & (boxes > NO_AREA), axis=1)
         if not valid.any():
@@ -80,22 +80,22 @@ class Sequence:
 
     @property
     def last(self) -> int:
-        """Number of the last frame in its folder."""
+        """Return the number of the last frame in its folder."""
         return self.first + len(self) - 1
 
     @property
     def is_video(self) -> bool:
-        """Whether the frames are those of one video file."""
+        """Return whether the frames are those of one video file."""
         return bool(self.frames) and self.frames[0].suffix.lower() in VIDEO_SUFFIXES
 
     @property
     def source(self) -> str:
-        """The data set it comes from where its name says so, ``VOT`` of ``VOT-bag``; else empty."""
+        """Return the data set that its name gives, ``VOT`` of ``VOT-bag``; an empty string if it gives none."""
         return self.name.partition("-")[0] if self.is_video and "-" in self.name else ""
 
     @cached_property
     def image_size(self) -> tuple[int, int] | None:
-        """Width and height of the frames in pixels; None without frames."""
+        """Return width and height of the frames in pixels; None without frames."""
         if not self.frames:
             return None
         height, width = self.read(0).shape[:2]
@@ -131,12 +131,12 @@ class Dataset:
 
     @property
     def coverage(self) -> str:
-        """``"29 of 100"`` where some are missing, else ``"100"``."""
+        """Return ``"29 of 100"`` if some sequences are missing, else ``"100"``."""
         total = len(self) + len(self.missing)
         return f"{len(self)} of {total}" if self.missing else str(total)
 
     def select(self, names: Iterable[str]) -> Dataset:
-        """Only the named sequences. Raises DataError for a name that is not there."""
+        """Return the data set with the named sequences alone. Raises DataError for a name that is not there."""
         names = list(names)
         if unknown := [n for n in names if n not in self.sequences]:
             raise DataError(f"{self.name} at {self.root} has no {', '.join(unknown)}")
@@ -156,7 +156,7 @@ class OtbTarget:
 
 
 def otb_targets(subset: str = "OTB-2015") -> list[OtbTarget]:
-    """The targets of ``OTB-2015`` (100), ``OTB-2013`` (51) or ``TB-50``."""
+    """Return the targets of ``OTB-2015`` (100), ``OTB-2013`` (51) or ``TB-50``, in the benchmark's order."""
     text = resources.files(__package__).joinpath("data/otb100.csv").read_text(encoding="utf-8")
     targets = [
         OtbTarget(
@@ -173,9 +173,9 @@ def otb_targets(subset: str = "OTB-2015") -> list[OtbTarget]:
 
 
 def open_otb(root: Path, subset: str = "OTB-2015") -> Dataset:
-    """OTB as it is distributed, or a folder of annotations alone (``<Sequence>.txt``).
+    """Open OTB as it is distributed, or a folder of annotations alone (``<Sequence>.txt``).
 
-    Raises DataError where a sequence is there and cannot be used.
+    Raises NoData if no target of ``subset`` is in ``root``, and DataError if a sequence is there and cannot be used.
     """
     places = locate_otb(root, subset)
     found = {target.name: _open_target(target, place) for target, place in places.items() if place}
@@ -185,7 +185,7 @@ def open_otb(root: Path, subset: str = "OTB-2015") -> Dataset:
 
 
 def locate_otb(root: Path, subset: str = "OTB-2015") -> dict[OtbTarget, Path | None]:
-    """The folder or the annotation file of each target, in any of the spellings of doubled ones."""
+    """Return the folder or the annotation file of each target, None if it is missing; any usual spelling counts."""
     if not root.is_dir():
         raise DataError(f"{root}: no such folder")
     entries = {entry.name.lower(): entry for entry in sorted(root.iterdir())}
@@ -238,9 +238,10 @@ def _truth_file(folder: Path, number: str) -> Path:
 
 
 def numbered_images(folder: Path, first: int, last: int) -> tuple[Path, ...]:
-    """The images ``first`` to ``last`` by the numbers in their names, however many digits these have.
+    """Return the images ``first`` to ``last`` by the numbers in their names, however many digits these have.
 
     A folder that was numbered anew but has exactly as many images is taken as it is.
+    Raises DataError if one of them is missing.
     """
     images = list_images(folder)
     by_number = {_number(p): p for p in images}
@@ -259,9 +260,10 @@ def _number(path: Path) -> int:
 
 
 def read_boxes(path: Path, columns: tuple[int, ...] = (4,)) -> Array:
-    """Boxes of a text file, ``(N, 4)``: one a line, numbers apart by comma, tab or space; NaN allowed.
+    """Return the boxes of a text file: one a line, numbers separated by comma, tab or space.
 
-    Lines at the end that are empty are ignored. Raises DataError with file and line.
+    NaN is allowed. Empty lines at the end are ignored. ``columns`` are the counts of numbers that a line may have;
+    the result is float64 of shape ``(N, count)``. Raises DataError, which names the file and the line.
     """
     try:
         lines = path.read_text(encoding="utf-8-sig").rstrip().splitlines()

@@ -15,7 +15,7 @@ MEDIA_TYPES = {"svg": "image/svg+xml", "jpg": "image/jpeg"}
 
 
 class Strong(str):
-    """A cell to stand out."""
+    """A cell that stands out."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Picture:
 
     @property
     def file(self) -> str:
-        """Name of its file."""
+        """Return the name of its file."""
         return f"{self.name}.{self.suffix}"
 
 
@@ -53,12 +53,12 @@ Block = Heading | Table | Picture | str
 
 
 def to_markdown(blocks: Iterable[Block]) -> str:
-    """Markdown; pictures are linked by their file names."""
+    """Return the blocks as Markdown; pictures are linked by their file names."""
     return "\n\n".join(_markdown(b) for b in blocks) + "\n"
 
 
 def to_html(title: str, blocks: Iterable[Block]) -> str:
-    """One file with everything in it."""
+    """Return the blocks as one HTML file with its pictures in it."""
     return _PAGE.format(title=html.escape(title), body="\n".join(_html(b) for b in blocks))
 
 

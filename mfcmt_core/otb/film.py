@@ -24,7 +24,7 @@ TRUTH = (255, 255, 255)
 
 
 def strip(sequence: Sequence, boxes: Mapping[str, Array], frames: int = 6) -> Image:
-    """Evenly spread frames side by side, the truth in white, one colour a tracker; BGR.
+    """Return evenly spread frames side by side, the truth in white, each tracker in its own color; BGR.
 
     ``boxes`` are ``(N, 4)``, 0-based, by tracker.
     """
@@ -37,7 +37,7 @@ def strip(sequence: Sequence, boxes: Mapping[str, Array], frames: int = 6) -> Im
 
 
 def video(path: Path, sequence: Sequence, boxes: Mapping[str, Array], fps: float = 30.0) -> None:
-    """Every frame with its boxes, as MP4. Raises DataError where it cannot be written."""
+    """Write every frame with its boxes as MP4. Raises DataError if it cannot be written."""
     try:
         writer = VideoWriter(path, fps)
         try:
@@ -79,7 +79,7 @@ def _rectangle(canvas: Image, box: Array, color: tuple[int, int, int], thickness
 
 
 def _legend(names: list[str], width: int) -> list[Image]:
-    """As many lines as the names need."""
+    """Return as many lines of the legend as the names need."""
     lines = [np.zeros((LEGEND_HEIGHT, width, 3), np.uint8)]
     x = 8
     colors = [TRUTH, *(_color(order) for order in range(len(names)))]
@@ -95,6 +95,6 @@ def _legend(names: list[str], width: int) -> list[Image]:
 
 
 def _color(order: int) -> tuple[int, int, int]:
-    """The plots' colours as BGR."""
+    """Return the plots' color of this order as BGR."""
     code = PALETTE[order % len(PALETTE)]
     return int(code[5:7], 16), int(code[3:5], 16), int(code[1:3], 16)

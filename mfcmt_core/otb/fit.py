@@ -64,7 +64,7 @@ class _Recorder(MFCMT):
 
 
 def starts(sequence: Sequence) -> list[Run]:
-    """Four runs: from the first frame on the true box and on one a tenth off, from a third and from two thirds."""
+    """Return four runs: two from the first frame (one a tenth off the true box), then from a third and two thirds."""
     rng = np.random.default_rng(zlib.crc32(sequence.name.encode()))
     known = np.flatnonzero(sequence.valid)
     runs = []
@@ -83,7 +83,7 @@ def starts(sequence: Sequence) -> list[Run]:
 
 
 def record(source: str, sequence: Sequence, config: MFCMTConfig) -> Recorded:
-    """Run the tracker from :func:`starts`, every frame decoded once."""
+    """Run the tracker from :func:`starts`; decode every frame once."""
     cv2.setNumThreads(1)
     runs = starts(sequence)
     trackers: dict[str, _Recorder] = {}
@@ -122,7 +122,7 @@ def record(source: str, sequence: Sequence, config: MFCMTConfig) -> Recorded:
 
 
 def record_all(datasets: Seq[Dataset], config: MFCMTConfig, jobs: int) -> Iterator[Recorded]:
-    """:func:`record` of every sequence, as they are done; the longest first."""
+    """Yield :func:`record` of every sequence, made in ``jobs`` processes; the longest sequence comes first."""
     pairs = [(s.source or d.name, s) for d in datasets for s in d]
     pairs.sort(key=lambda pair: -len(pair[1]))
     with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:  # a fork would copy locks that a thread holds
@@ -137,13 +137,13 @@ class Fit:
     bias: float
 
     def confidence(self, signals: Array) -> Array:
-        """The probability that each box is right, (N,)."""
+        """Return the probability that each box is right, (N,)."""
         score = np.clip(signals @ self.weights + self.bias, -30, 30)
         return np.asarray(1 / (1 + np.exp(-score)))
 
 
 def fit(recorded: Seq[Recorded], ridge: float = RIDGE) -> Fit:
-    """Logistic regression of right against other frames; frames without a target are not right."""
+    """Fit a logistic regression of right against other frames; frames without a target are not right."""
     signals = np.concatenate([r.signals for r in recorded])
     right = np.concatenate([np.nan_to_num(r.overlap) > RIGHT for r in recorded]).astype(float)
     weight = np.concatenate([np.full(len(r.overlap), 1 / len(r.overlap)) for r in recorded])
@@ -165,7 +165,7 @@ def fit(recorded: Seq[Recorded], ridge: float = RIDGE) -> Fit:
 
 
 def held_out(recorded: Seq[Recorded], ridge: float = RIDGE) -> list[Judged]:
-    """Every sequence, judged by a fit without its data set; the status is the one of the run."""
+    """Return every sequence, judged by a fit without its data set; the status is that of the run."""
     judged = []
     for source in sorted({r.source for r in recorded}):
         model = fit([r for r in recorded if r.source != source], ridge)

@@ -35,9 +35,28 @@ IMAGE_FOLDERS = ("", "img", "color", "imgs", "images")
 
 
 def open_dataset(root: Path, layout: str = "auto", subset: str = "OTB-2015") -> Dataset:
-    """The data set in a folder. ``layout`` is a name of :data:`LAYOUTS` or ``auto``, which looks what is there.
+    """Open the data set in a folder.
 
-    Raises DataError where nothing usable is there and where something is that cannot be used.
+    Parameters
+    ----------
+    root : Path
+        The folder.
+    layout : str, optional
+        A name of :data:`LAYOUTS`, or ``auto``, which finds the layout by what is in the folder.
+    subset : str, optional
+        ``OTB-2015``, ``OTB-2013`` or ``TB-50``; only OTB has subsets.
+
+    Returns
+    -------
+    Dataset
+        Its boxes are 0-based, in pixels, whatever the files count from.
+
+    Raises
+    ------
+    NoData
+        The folder has no sequence of this layout.
+    DataError
+        The folder does not exist, or a sequence in it cannot be used.
     """
     if not root.is_dir():
         raise DataError(f"{root}: no such folder")
@@ -47,7 +66,7 @@ def open_dataset(root: Path, layout: str = "auto", subset: str = "OTB-2015") -> 
 
 
 def detect(root: Path) -> str:
-    """The layout of a folder by its landmarks."""
+    """Return the layout of a folder by the files and folders that only this layout has."""
     if (root / "anno" / "UAV123").is_dir():
         return "uav123"
     if any(p.is_dir() and p.name.startswith("GOT-10k_") for p in root.iterdir()):
@@ -60,13 +79,13 @@ def detect(root: Path) -> str:
 
 
 def open_got10k(root: Path) -> Dataset:
-    """``GOT-10k_*/groundtruth.txt`` beside the images; the boxes count from 0 (taken as they are)."""
+    """Open ``GOT-10k_*/groundtruth.txt`` beside the images; the boxes count from 0 (taken as they are)."""
     folders = sorted(p for p in root.iterdir() if p.is_dir() and (p / "groundtruth.txt").is_file())
     return _gathered("GOT-10k", root, {p.name: _sequence(p.name, p) for p in folders})
 
 
 def open_vot(root: Path) -> Dataset:
-    """Folders named by ``list.txt``, rectangles or polygons (their upright bounding box), counted from 0."""
+    """Open folders named by ``list.txt``: rectangles or polygons (their upright bounding box), counted from 0."""
     listing = root / "list.txt"
     names = listing.read_text(encoding="utf-8").split() if listing.is_file() else sorted(p.name for p in root.iterdir())
     folders = {name: root / name for name in names if (root / name / "groundtruth.txt").is_file()}
@@ -75,7 +94,7 @@ def open_vot(root: Path) -> Dataset:
 
 
 def open_uav123(root: Path) -> Dataset:
-    """``anno/UAV123/<name>.txt`` over ``data_seq/UAV123/<folder>``, counted from 1; NaN where the target is absent."""
+    """Open ``anno/UAV123/<name>.txt`` over ``data_seq/UAV123/<folder>``, counted from 1; NaN is an absent target."""
     text = resources.files(__package__).joinpath("data/uav123.csv").read_text(encoding="utf-8")
     parts = {row["name"]: (row["folder"], int(row["first"])) for row in csv.DictReader(text.splitlines())}
     found, missing = {}, []
@@ -92,7 +111,7 @@ def open_uav123(root: Path) -> Dataset:
 
 
 def open_plain(root: Path) -> Dataset:
-    """Each folder that has a ground-truth file, counted from 1, or ``root`` itself where it has one."""
+    """Open each folder that has a ground-truth file, counted from 1, and ``root`` itself if it has one."""
     folders = [p for p in (root, *sorted(root.iterdir())) if p.is_dir() and _truth(p) is not None]
     return _gathered(
         root.resolve().name, root, {p.resolve().name: _sequence(p.resolve().name, p, ONE_BASED) for p in folders}
@@ -100,7 +119,7 @@ def open_plain(root: Path) -> Dataset:
 
 
 def open_videos(root: Path) -> Dataset:
-    """``<name>.mp4`` beside ``<name>.txt``, whose boxes count from 0; NaN where the target is absent."""
+    """Open ``<name>.mp4`` beside ``<name>.txt``, whose boxes count from 0; NaN is an absent target."""
     found = {}
     for path in _videos(root):
         boxes = read_boxes(path.with_suffix(".txt"))
@@ -112,7 +131,7 @@ def open_videos(root: Path) -> Dataset:
 
 
 def _videos(root: Path) -> list[Path]:
-    """The videos of a folder that have a text file of their name beside them."""
+    """Return the videos of a folder that have a text file of their name beside them."""
     videos = (p for p in root.iterdir() if p.suffix.lower() in VIDEO_SUFFIXES and not p.name.startswith("."))
     return sorted(p for p in videos if p.with_suffix(".txt").is_file())
 
@@ -142,7 +161,7 @@ def _truth(folder: Path) -> Path | None:
 
 
 def _upright(lines: Array) -> Array:
-    """Polygons of four corners as the rectangles around them."""
+    """Return the rectangles around polygons of four corners."""
     if lines.shape[1] == 4:
         return lines
     x, y = lines[:, 0::2], lines[:, 1::2]

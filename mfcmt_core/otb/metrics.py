@@ -1,4 +1,4 @@
-"""Overlap, centre error and the curves made of them, by the rules of the OTB toolkit (Wu et al., 2013).
+"""Overlap, center error and the curves made of them, by the rules of the OTB toolkit (Wu et al., 2013).
 
 All boxes are ``(N, 4)`` arrays of ``x, y, w, h`` in pixels; the origin cancels out where both sides share it.
 """
@@ -15,20 +15,20 @@ SUCCESS_THRESHOLDS: Array = np.linspace(0.0, 1.0, 21)
 """Overlap; a frame succeeds when its overlap is strictly greater."""
 
 PRECISION_THRESHOLDS: Array = np.arange(51.0)
-"""Centre error in pixels; a frame is precise when its error is not greater."""
+"""Center error in pixels; a frame is precise when its error is not greater."""
 
 NORM_PRECISION_THRESHOLDS: Array = np.arange(51) / 100.0
-"""Centre error over the target's size (TrackingNet, LaSOT)."""
+"""Center error over the target's size (TrackingNet, LaSOT)."""
 
 PRECISION_AT = 20
 """The precision score is the curve at 20 pixels."""
 
 NORM_PRECISION_AT = 20
-"""The normalised precision score is the curve at 0.2: index 20."""
+"""The normalized precision score is the curve at 0.2: index 20."""
 
 
 def overlap(boxes: Array, truth: Array) -> Array:
-    """Intersection over union, ``(N,)`` in [0, 1]; 0 where the union has no area."""
+    """Return intersection over union, ``(N,)`` in [0, 1]; 0 where the union has no area."""
     corner = np.maximum(boxes[:, :2], truth[:, :2])
     opposite = np.minimum(boxes[:, :2] + boxes[:, 2:], truth[:, :2] + truth[:, 2:])
     intersection = np.prod(np.maximum(opposite - corner, 0.0), axis=1)
@@ -38,12 +38,12 @@ def overlap(boxes: Array, truth: Array) -> Array:
 
 
 def center_error(boxes: Array, truth: Array) -> Array:
-    """Distance of the centres ``x + (w - 1) / 2`` in pixels, ``(N,)``."""
+    """Return the distance of the centers ``x + (w - 1) / 2`` in pixels, ``(N,)``."""
     return np.asarray(np.linalg.norm(_centers(boxes) - _centers(truth), axis=1))
 
 
 def normalized_center_error(boxes: Array, truth: Array) -> Array:
-    """Distance of the centres, each axis over the target's size; infinite where the truth has none."""
+    """Return the distance of the centers, each axis over the target's size, ``(N,)``; infinite for a size of 0."""
     offset = _centers(boxes) - _centers(truth)
     size = truth[:, 2:]
     scaled = np.divide(offset, size, out=np.full_like(offset, np.inf), where=size > 0)
@@ -51,12 +51,12 @@ def normalized_center_error(boxes: Array, truth: Array) -> Array:
 
 
 def success_curve(overlaps: Array) -> Array:
-    """Share of frames whose overlap is greater than each of the 21 thresholds, ``(21,)``."""
+    """Return the share of frames whose overlap is greater than each of the 21 thresholds, ``(21,)``."""
     return np.asarray((overlaps[:, None] > SUCCESS_THRESHOLDS).mean(axis=0))
 
 
 def precision_curve(errors: Array, thresholds: Array = PRECISION_THRESHOLDS) -> Array:
-    """Share of frames whose error is at most each threshold, ``(51,)``."""
+    """Return the share of frames whose error is at most each threshold, ``(51,)``."""
     return np.asarray((errors[:, None] <= thresholds).mean(axis=0))
 
 

@@ -35,7 +35,7 @@ class OpenCVPeer:
 
     @property
     def confidence(self) -> float:
-        """Its score where it has one, else 1 where it reports the target found and 0 where not."""
+        """Return its score if it has one, else 1 if it reports that the target is found and 0 if not."""
         score = getattr(self._tracker, "getTrackingScore", None)
         return float(score()) if score else float(self.found)
 
@@ -46,7 +46,7 @@ class OpenCVPeer:
         self._box = (float(x), float(y), float(w), float(h))
 
     def update(self, image: Image) -> Box:
-        """The box in the next frame."""
+        """Return the box in the next frame."""
         self.found, (x, y, w, h) = self._tracker.update(image)
         if self.found:
             self._box = (float(x), float(y), float(w), float(h))
@@ -69,7 +69,7 @@ class DlibPeer:
         self._tracker.start_track(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), rectangle)
 
     def update(self, image: Image) -> Box:
-        """The box in the next frame."""
+        """Return the box in the next frame."""
         self.confidence = float(self._tracker.update(cv2.cvtColor(image, cv2.COLOR_BGR2RGB)))
         place = self._tracker.get_position()
         return place.left(), place.top(), place.right() - place.left() + 1, place.bottom() - place.top() + 1
@@ -113,13 +113,13 @@ class Peer:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """The library's version stands for its code."""
+        """Return what results depend on; the library's version stands for its code."""
         library = importlib.import_module("dlib") if self.peer == "dlib" else _cv
         return {"code": f"{self.peer} {library.__version__}", "config": {}}
 
     @property
     def lacks(self) -> str | None:
-        """What must be installed before :meth:`make` works; None where nothing is missing."""
+        """Return what must be installed before :meth:`make` works; None if nothing is missing."""
         if self.peer == "dlib":
             return None if importlib.util.find_spec("dlib") else "dlib"
         if not hasattr(_cv, _OPENCV[self.peer][0]):
@@ -129,5 +129,5 @@ class Peer:
         return None
 
     def make(self) -> OpenCVPeer | DlibPeer:
-        """A tracker that has not started."""
+        """Return a tracker that has not started."""
         return DlibPeer() if self.peer == "dlib" else OpenCVPeer(_OPENCV[self.peer][1])

@@ -61,7 +61,7 @@ _STYLE: Any = {
 
 
 def plot(kind: Kind, evaluations: Seq[Evaluation], title: str) -> str:
-    """One plot of all sequences as SVG text. The legend is ranked and gives score and speed."""
+    """Return one plot of all sequences as SVG text. The legend is ranked and gives score and speed."""
     with rc_context(_STYLE):
         figure = Figure(figsize=(5.6, 4.4), layout="constrained")
         _draw(figure.add_subplot(), kind, evaluations, title, None, _styles(evaluations), small=False)
@@ -69,7 +69,7 @@ def plot(kind: Kind, evaluations: Seq[Evaluation], title: str) -> str:
 
 
 def attribute_plots(kind: Kind, evaluations: Seq[Evaluation], dataset: Dataset, title: str) -> str:
-    """A small plot for each of the attributes that some sequence has, as in figure 4."""
+    """Return a small plot for each attribute that some sequence has, as in figure 4 of the paper, as SVG text."""
     groups = {a: [s.name for s in dataset if a in s.attributes] for a in ATTRIBUTES}
     groups = {a: names for a, names in groups.items() if any(n in e.scores for e in evaluations for n in names)}
     rows = -(-len(groups) // 3)
@@ -167,7 +167,7 @@ def _draw(
 
 
 def _name(evaluation: Evaluation, total: int) -> str:
-    """A tracker without some of the results must not look like the others."""
+    """Return the name in the legend; a tracker without some of the results must not look like the others."""
     count = len(evaluation.scores)
     return evaluation.tracker if count == total else f"{evaluation.tracker}, {count} of {total}"
 

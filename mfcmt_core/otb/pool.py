@@ -41,7 +41,7 @@ class Job:
 
     @property
     def frames(self) -> int:
-        """Tracker steps."""
+        """Return the number of tracker steps."""
         return sum(len(self.sequence) - run.start for run in self.runs)
 
 
@@ -61,7 +61,7 @@ class Outcome:
 def run_jobs(jobs: Iterable[Job], workers: int, tick: Tick) -> Iterator[tuple[Job, Outcome]]:
     """Do the jobs, in this process when ``workers`` is 1, and yield each as it is done.
 
-    ``tick`` is told tracker steps as they are made. Closing the generator stops the processes.
+    ``tick`` is called with the number of tracker steps as they are made. Closing the generator stops the processes.
     """
     if workers > 1:
         yield from _in_processes(deque(jobs), workers, tick)
@@ -226,7 +226,7 @@ def _one_thread() -> Iterator[None]:
 
 @contextmanager
 def _no_interrupt() -> Iterator[None]:
-    """What starts in here does not hear Ctrl-C: that is for the parent, which stops it."""
+    """Let processes that start in this block ignore Ctrl-C: the parent hears it and stops them."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -255,9 +255,9 @@ def _one_thread_environment() -> Iterator[None]:
 
 
 def plan(pairs: Seq[tuple[Entry, Sequence, Seq[Run]]], workers: int) -> list[Job]:
-    """Jobs for these pairs, the longest sequences first, a sequence's trackers next to each other.
+    """Return jobs for these pairs, the longest sequences first, a sequence's trackers next to each other.
 
-    Where there are fewer pairs than would keep the processes busy, their runs are dealt out.
+    If there are fewer pairs than keep the processes busy, the runs of a pair become several jobs.
     """
     parts = -(-2 * workers // max(len(pairs), 1)) if workers > 1 else 1
     several = len({entry.name for entry, _, _ in pairs}) > 1

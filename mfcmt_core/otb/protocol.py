@@ -1,7 +1,8 @@
 """Where runs start: one-pass (OPE), temporal (TRE) and spatial robustness evaluation (SRE).
 
-The rules are those of the MATLAB toolkit ``tracker_benchmark_v1.0`` (Wu et al., 2013), which computes with
-1-based pixels; boxes here are 0-based like everywhere else in this package.
+The rules are those of the MATLAB toolkit ``tracker_benchmark_v1.0`` (Wu et al., 2013,
+https://doi.org/10.1109/CVPR.2013.312), which computes with 1-based pixels; boxes here are 0-based like everywhere
+else in this package.
 """
 
 from __future__ import annotations
@@ -36,13 +37,16 @@ class Run:
 
 
 def ope(sequence: Sequence) -> list[Run]:
-    """One pass on the true box, from the first frame that has one."""
+    """Return the run of OPE: one pass from the first frame with a valid box, begun on this box."""
     start = int(np.flatnonzero(sequence.valid)[0])
     return [Run("", start, _box(sequence.boxes[start]))]
 
 
 def tre(sequence: Sequence) -> list[Run]:
-    """20 runs that start evenly spread over the frames where the target is visible, each to the end."""
+    """Return the runs of TRE: 20 starts evenly spread over the frames with a visible target, each to the end.
+
+    A short sequence has fewer, as in the toolkit.
+    """
     candidates = np.flatnonzero(sequence.startable)
     late_enough = np.flatnonzero(len(sequence) - candidates >= MIN_SEGMENT_FRAMES)
     if not late_enough.size:
@@ -55,7 +59,10 @@ def tre(sequence: Sequence) -> list[Run]:
 
 
 def sre(sequence: Sequence) -> list[Run]:
-    """12 runs from the first frame, the box moved 10 % in 8 directions or scaled by 0.8 to 1.2."""
+    """Return the 12 runs of SRE: the first box moved in 4 directions, grown at 4 corners, scaled by 4 factors.
+
+    Shifts are a tenth of the box's sides, factors are 0.8 to 1.2; all runs go from the first valid frame to the end.
+    """
     start = ope(sequence)[0].start
     one_based = sequence.boxes[start] + ONE_BASED
     return [
@@ -70,10 +77,10 @@ def sre(sequence: Sequence) -> list[Run]:
 
 
 def shifted_starts(sequence: Sequence) -> list[Run]:
-    """Three passes, from the first annotated frame and from 10 and 20 frames later: not a toolkit's protocol.
+    """Return three runs, from the first annotated frame and from 10 and 20 frames later: no toolkit's protocol.
 
-    A single pass turns on a few coincidences, a loss at an occlusion among them, that another start decides
-    anew; so a choice between trackers is made on several.
+    The score of a single pass depends on a few coincidences, such as a loss at an occlusion, which another start
+    changes. So a choice between trackers is made on several passes.
     """
     first = ope(sequence)[0].start
     starts = [s for s in (first, first + 10, first + 20) if s < len(sequence) and sequence.valid[s]]
@@ -89,10 +96,10 @@ PROTOCOLS: dict[str, Callable[[Sequence], list[Run]]] = {
 
 
 def shifted(box: Array, key: str, image_size: tuple[int, int] | None) -> Array:
-    """A start box of SRE (1-based in and out), clipped to the image as the toolkit does.
+    """Return a start box of SRE (1-based in and out), clipped to the image as the toolkit does.
 
     ``left`` to ``down`` move the box; ``topLeft`` to ``bottomRight`` move that corner outwards, so that the
-    box grows; ``scale_*`` keep the centre.
+    box grows; ``scale_*`` keep the center.
     """
     x, y, w, h = (float(v) for v in box)
     if key in SCALES:
@@ -121,7 +128,7 @@ def shifted(box: Array, key: str, image_size: tuple[int, int] | None) -> Array:
 
 
 def to_original_size(boxes: Array, ratio: float) -> Array:
-    """Boxes (1-based) of a run begun on a scaled box, divided by ``ratio`` about the centre, rounded."""
+    """Return the boxes (1-based) of a run begun on a scaled box, divided by ``ratio`` about the center, rounded."""
     if ratio == 1.0:
         return boxes
     center = boxes[:, :2] + (boxes[:, 2:] - 1) / 2
@@ -131,7 +138,7 @@ def to_original_size(boxes: Array, ratio: float) -> Array:
 
 
 def _round(value: float) -> float:
-    """MATLAB's round: halves away from zero."""
+    """Round as MATLAB does: halves away from zero."""
     return math.copysign(math.floor(abs(value) + 0.5), value)
 
 

@@ -63,7 +63,7 @@ def write_report(
 
 
 def to_csv(results: Results) -> str:
-    """A line for each protocol, tracker and sequence."""
+    """Return CSV with a line for each protocol, tracker and sequence."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["protocol", "tracker", "sequence", *METRICS, "frames", "fps", "mean_rate", "missing"])
@@ -79,7 +79,7 @@ def to_csv(results: Results) -> str:
 
 
 def to_dict(dataset: Dataset, results: Results) -> dict[str, Any]:
-    """Everything, curves included, for JSON."""
+    """Return all scores and curves as values that JSON can hold."""
     return {
         "dataset": {
             "name": dataset.name,
@@ -97,7 +97,7 @@ def to_dict(dataset: Dataset, results: Results) -> dict[str, Any]:
 
 
 def machine() -> dict[str, str]:
-    """What the figures were measured with."""
+    """Return the machine and the versions with which the figures were measured."""
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.is_file():

@@ -74,7 +74,7 @@ Run = Callable[[Seq[Entry | ResultFolder], str], list[Evaluation]]
 
 
 def comparison(results: Path, published: Path | None) -> list[Entry | ResultFolder]:
-    """The presets, the rivals from our engine, the peers that are there, and the published boxes."""
+    """Return the presets, the rivals from our engine, the peers that are there, and the published boxes."""
     trackers: list[Entry | ResultFolder] = [resolve(name) for name in (*PRESETS, *SYSTEMS) if name != "dcf"]
     for peer in PEERS:
         try:
@@ -87,7 +87,7 @@ def comparison(results: Path, published: Path | None) -> list[Entry | ResultFold
 
 
 def ablations() -> list[Entry | ResultFolder]:
-    """Each preset with one thing taken away, or with one left; ``default`` with each of its choices taken back."""
+    """Return each preset with one part taken away or one left, and ``default`` with each choice taken back."""
     names = [f"{preset}-{name}" for preset in PRESETS for name in ABLATIONS]
     return [resolve(name) for name in (*names, *(f"default-{choice}" for choice in CHOICES))]
 
@@ -107,7 +107,7 @@ def reproduce(
 
 
 def claims_page(dataset: Dataset, results: Results) -> list[Block]:
-    """Claim by claim, what the ablations show, also where a claim does not hold."""
+    """Return, claim by claim, what the ablations show, also if a claim does not hold."""
     blocks: list[Block] = [
         Heading("The claims of the paper, measured", 1),
         f"{dataset.name}, {dataset.coverage} targets; made by `make reproduce`. Measured with "

@@ -36,14 +36,14 @@ class Record:
     error: str | None = None
 
     def has(self, run: Run, frames: int) -> bool:
-        """Whether this very run is finished."""
+        """Return whether this very run is finished."""
         wanted = {"start": run.start, "box": list(run.box), "frames": frames}
         made = self.runs.get(run.key, {})
         return "trust" in made and wanted.items() <= made.items()  # older ones did not keep what the tracker said
 
     @property
     def speed(self) -> Speed | None:
-        """Of all runs together; None where nothing is finished."""
+        """Return the speed of all runs together; None if nothing is finished."""
         frames = sum(run["frames"] for run in self.runs.values())
         if not frames:
             return None
@@ -53,7 +53,7 @@ class Record:
 
 
 def read_record(path: Path) -> Record | None:
-    """The record in a file; None where there is none that can be read."""
+    """Return the record in a file; None if there is none that can be read."""
     try:
         return Record(**json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError):
@@ -73,7 +73,7 @@ class ResultStore:
         return self.folder(protocol, tracker) / (f"{sequence}.{key}.txt" if key else f"{sequence}.txt")
 
     def record(self, protocol: str, tracker: str, sequence: str) -> Record | None:
-        """What is known of this pair; None where nothing is."""
+        """Return the record of this tracker on this sequence; None if there is none."""
         return read_record(self.folder(protocol, tracker) / f"{sequence}.json")
 
     def write(
@@ -85,7 +85,7 @@ class ResultStore:
         boxes: dict[str, Array],
         trust: dict[str, Array],
     ) -> None:
-        """Keep new boxes by run key (0-based), then the record: a crash in between leaves runs unfinished."""
+        """Write new boxes by run key (0-based), then the record: after a crash in between, the runs are unfinished."""
         folder = self.folder(protocol, tracker)
         folder.mkdir(parents=True, exist_ok=True)
         for key, values in boxes.items():
@@ -97,13 +97,13 @@ class ResultStore:
 
 
 def write_boxes(path: Path, boxes: Array) -> None:
-    """Write 0-based boxes as OTB text."""
+    """Write 0-based boxes ``(N, 4)`` as OTB text: 1-based, three decimals, a line a frame."""
     rows = boxes + ONE_BASED
     _replace(path, "".join("{:.3f},{:.3f},{:.3f},{:.3f}\n".format(*row) for row in rows))
 
 
 def trust_path(boxes: Path) -> Path:
-    """The file beside one of boxes that holds a line ``confidence,status`` a frame."""
+    """Return the file beside a file of boxes that holds a line ``confidence,status`` a frame."""
     return boxes.with_name(boxes.stem + TRUST_SUFFIX)
 
 
@@ -113,9 +113,9 @@ def _write_trust(path: Path, rows: Array) -> None:
 
 
 def read_trust(boxes: Path, frames: int) -> Array | None:
-    """Confidence and index of the status, (N, 2), NaN for what is unknown; None where there is no such file.
+    """Return confidence and index of the status, (N, 2), NaN for what is unknown; None if there is no such file.
 
-    Raises DataError for a file that is none or has another number of lines.
+    Raises DataError if the file has other lines, or not ``frames`` of them.
     """
     path = trust_path(boxes)
     if not path.is_file():
@@ -131,10 +131,29 @@ def read_trust(boxes: Path, frames: int) -> Array | None:
 
 
 def read_result(path: Path, sequence: Sequence, start: int = 0) -> Array:
-    """Boxes (0-based) of a run that began at index ``start`` of the sequence.
+    """Return the boxes of a run that began at index ``start`` of the sequence.
 
-    A file longer than the sequence is cut: by frame number where it has a line for each frame from number 1
-    on, else at its end, as the toolkit does. Raises DataError for one that is too short.
+    A file longer than the sequence is cut: by frame number if it has a line for each frame from number 1 on, else
+    at its end, as the toolkit does.
+
+    Parameters
+    ----------
+    path : Path
+        A file of 1-based boxes, a line a frame.
+    sequence : Sequence
+        The sequence on which the tracker ran.
+    start : int, optional
+        Index of the run's first frame in the sequence.
+
+    Returns
+    -------
+    ndarray of float64, shape (len(sequence) - start, 4)
+        x, y, w, h in pixels, 0-based.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read, or has too few lines.
     """
     lines = read_boxes(path)
     wanted = len(sequence) - start

@@ -35,10 +35,33 @@ def evaluate(
 ) -> list[Evaluation]:
     """Score each tracker over the data set under ``OPE``, ``TRE`` or ``SRE``.
 
-    ``results`` is the folder of result files: what is finished there with the same code and configuration is
-    not run again. ``jobs`` is the number of processes (default: one a CPU). 1 stays in this one; with more a
-    script needs its ``if __name__ == "__main__"``. ``progress`` gets the steps done and all steps.
-    A tracker that raises loses the sequence, which is then named in :attr:`Evaluation.missing`.
+    Parameters
+    ----------
+    dataset : Dataset
+        The sequences with their truth.
+    trackers : iterable of Entry or ResultFolder
+        Trackers to run, and folders of results to score; each needs a name of its own.
+    protocol : str, optional
+        A name of :data:`PROTOCOLS`.
+    results : Path, optional
+        The folder of result files. A run that is finished there with the same code and configuration is not run
+        again. Without it, the results are discarded after the scoring.
+    jobs : int, optional
+        The number of processes, by default one a CPU. With 1 the trackers run in this process; with more, a script
+        needs its ``if __name__ == "__main__"``.
+    progress : callable, optional
+        Called with the steps done and the number of all steps; a step is one frame of one run.
+
+    Returns
+    -------
+    list of Evaluation
+        One for each tracker, in their order. A sequence on which a tracker raised is named, with the reason, in its
+        :attr:`Evaluation.missing`.
+
+    Raises
+    ------
+    DataError
+        Two trackers have the same name.
     """
     trackers = list(trackers)
     if len({t.name for t in trackers}) < len(trackers):
@@ -53,7 +76,7 @@ def evaluate(
 
 
 def result_folder(tracker: Entry | ResultFolder, protocol: str, results: Path) -> ResultFolder:
-    """Where the files of a tracker are."""
+    """Return the folder of a tracker's files."""
     if isinstance(tracker, ResultFolder):
         return tracker.under(protocol)
     return ResultFolder(tracker.name, ResultStore(results).folder(protocol, tracker.name))
@@ -129,7 +152,7 @@ def _scored(dataset: Dataset, folder: ResultFolder, protocol: str, runs: dict[st
 
 
 def judged(tracker: Entry | ResultFolder, dataset: Dataset, protocol: str, results: Path) -> list[Judged]:
-    """What a tracker said of its finished runs, by sequence; without the first frames, whose boxes are given.
+    """Return what a tracker said of its finished runs, by sequence; without the first frames, whose boxes are given.
 
     Sequences for which it said nothing are left out. Frames without a usable annotation count as absent where the
     data set leaves them out of its scores, and not at all elsewhere.
@@ -157,7 +180,7 @@ def judged(tracker: Entry | ResultFolder, dataset: Dataset, protocol: str, resul
 
 
 def boxes_of(tracker: Entry | ResultFolder, sequence: Sequence, results: Path) -> Array:
-    """The boxes of a finished OPE run, ``(N, 4)``, 0-based. Raises DataError where there are none."""
+    """Return the boxes of a finished OPE run, ``(N, 4)``, 0-based. Raises DataError if there are none."""
     run = PROTOCOLS["OPE"](sequence)[0]
     path = result_folder(tracker, "OPE", results).find(sequence.name, run.key)
     return read_result(path, sequence, run.start)

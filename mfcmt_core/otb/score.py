@@ -40,17 +40,17 @@ class SequenceScore:
 
     @property
     def success(self) -> float:
-        """Area under the success curve: the mean of its 21 values."""
+        """Return the area under the success curve: the mean of its 21 values."""
         return float(self.success_curve.mean())
 
     @property
     def precision(self) -> float:
-        """Share of frames within 20 pixels."""
+        """Return the share of frames within 20 pixels."""
         return float(self.precision_curve[metrics.PRECISION_AT])
 
     @property
     def norm_precision(self) -> float:
-        """Share of frames within 0.2 of the target's size."""
+        """Return the share of frames within 0.2 of the target's size."""
         return float(self.norm_precision_curve[metrics.NORM_PRECISION_AT])
 
 
@@ -64,43 +64,46 @@ class Evaluation:
     missing: dict[str, str] = field(default_factory=dict)
 
     def curve(self, name: str, sequences: Iterable[str] | None = None) -> Array:
-        """Mean of ``success_curve``, ``precision_curve`` or ``norm_precision_curve`` over the sequences."""
+        """Return the mean of ``success_curve``, ``precision_curve`` or ``norm_precision_curve`` over the sequences."""
         return np.asarray(np.mean([getattr(s, name) for s in self._chosen(sequences)], axis=0))
 
     def mean(self, name: str, sequences: Iterable[str] | None = None) -> float:
-        """Mean of ``success``, ``precision`` or ``norm_precision`` over the sequences that have a score."""
+        """Return the mean of ``success``, ``precision`` or ``norm_precision`` over the sequences that have a score."""
         return float(np.mean([getattr(s, name) for s in self._chosen(sequences)]))
 
     @property
     def success(self) -> float:
-        """The benchmark's success score."""
+        """Return the benchmark's success score."""
         return self.mean("success")
 
     @property
     def precision(self) -> float:
-        """The benchmark's precision score."""
+        """Return the benchmark's precision score."""
         return self.mean("precision")
 
     @property
     def norm_precision(self) -> float:
-        """Mean normalised precision."""
+        """Return the mean normalized precision."""
         return self.mean("norm_precision")
 
     @property
     def fps(self) -> float | None:
-        """Frames over time, all sequences together."""
+        """Return frames over seconds of wall time, all sequences together; None if no time is known."""
         speeds = self._speeds()
         return sum(s.frames for s in speeds) / sum(s.seconds for s in speeds) if speeds else None
 
     @property
     def cpu_fps(self) -> float | None:
-        """Frames over CPU time: what the tracker needs, also on a busy machine."""
+        """Return frames over seconds of CPU time, which a busy machine hardly changes; None if no time is known."""
         known = [(s.frames, s.cpu_seconds) for s in self._speeds() if s.cpu_seconds]
         return sum(frames for frames, _ in known) / sum(seconds for _, seconds in known) if known else None
 
     @property
     def mean_rate(self) -> float | None:
-        """Mean over sequences of the mean of the frames' rates: the figure other toolkits print, too kind."""
+        """Return the mean over sequences of the mean of the frames' rates in Hz; None if no time is known.
+
+        Other toolkits print this figure. It is higher than :attr:`fps`, since quick frames count more.
+        """
         speeds = self._speeds()
         return float(np.mean([s.mean_rate for s in speeds])) if speeds else None
 
@@ -117,10 +120,30 @@ class Evaluation:
 def score_runs(
     sequence: Sequence, runs: Iterable[tuple[Run, npt.ArrayLike]], speed: Speed | None = None
 ) -> SequenceScore:
-    """Score the boxes of some runs (``(frames from its start on, 4)`` each, 0-based), their frames pooled.
+    """Score the boxes of some runs on one sequence, their frames pooled.
 
-    The toolkit's rules: a box without area or with NaN is replaced by the one before it, the first box of a
-    run by the truth; a frame with an invalid annotation is lost for success and found for precision.
+    The rules are the toolkit's (Wu et al., 2013, https://doi.org/10.1109/CVPR.2013.312): a box without area or with
+    NaN is replaced by the one before it, the first box of a run by the truth; a frame with an invalid annotation is
+    lost for success and found for precision.
+
+    Parameters
+    ----------
+    sequence : Sequence
+        The sequence with its truth.
+    runs : iterable of (Run, array of float, shape (N, 4))
+        Each run and its boxes from its start to the last frame: x, y, w, h in pixels, 0-based.
+    speed : Speed, optional
+        How long the tracker took; it is kept beside the scores.
+
+    Returns
+    -------
+    SequenceScore
+        The curves and scores.
+
+    Raises
+    ------
+    DataError
+        The boxes of a run have another shape.
     """
     overlaps, errors, relative = [], [], []
     for run, raw in runs:
@@ -146,7 +169,27 @@ def score_runs(
 
 
 def score(dataset: Dataset, boxes: Mapping[str, npt.ArrayLike], tracker: str = "tracker") -> Evaluation:
-    """OPE of boxes by sequence, each ``(N, 4)``, 0-based. ``missing`` names the sequences without."""
+    """Score the boxes of one pass (OPE) over a data set.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        The sequences with their truth.
+    boxes : mapping of str to array of float, shape (N, 4)
+        The boxes of all frames by the sequence's name: x, y, w, h in pixels, 0-based.
+    tracker : str, optional
+        The name that the evaluation bears.
+
+    Returns
+    -------
+    Evaluation
+        Its ``missing`` names the sequences without boxes.
+
+    Raises
+    ------
+    DataError
+        The boxes of a sequence have another shape.
+    """
     scores, missing = {}, {}
     for sequence in dataset:
         if sequence.name not in boxes:

@@ -16,7 +16,7 @@ METRICS = {"success": "success", "precision": "precision", "norm_precision": "no
 
 
 def summary(evaluations: Seq[Evaluation], dataset: Dataset) -> Table:
-    """Success, precision, normalised precision and speed; ranked by success, the incomplete ones last."""
+    """Return success, precision, normalized precision and speed; ranked by success, the incomplete ones last."""
     order = ranked(evaluations)
     common = [s.name for s in dataset if all(s.name in e.scores for e in order)]
     uneven = bool(common) and any(len(e.scores) > len(common) for e in order)
@@ -31,7 +31,7 @@ def summary(evaluations: Seq[Evaluation], dataset: Dataset) -> Table:
 
 
 def attributes(evaluations: Seq[Evaluation], dataset: Dataset, metric: str = "success") -> Table:
-    """A row a tracker, a column for each attribute with its number of targets; the best in bold."""
+    """Return a row for each tracker and a column for each attribute with its number of targets; the best in bold."""
     groups = {a: [s.name for s in dataset if a in s.attributes] for a in ATTRIBUTES}
     groups = {a: names for a, names in groups.items() if names}
     order = ranked(evaluations, metric)
@@ -45,7 +45,7 @@ def attributes(evaluations: Seq[Evaluation], dataset: Dataset, metric: str = "su
 
 
 def per_sequence(evaluations: Seq[Evaluation], dataset: Dataset) -> Table:
-    """Success and precision of each tracker on each sequence; ``–`` where there is no result."""
+    """Return success and precision of each tracker on each sequence; ``–`` where there is no result."""
     header = ["sequence", "frames", *(e.tracker for e in evaluations)]
     rows = []
     for sequence in dataset:
@@ -57,7 +57,7 @@ def per_sequence(evaluations: Seq[Evaluation], dataset: Dataset) -> Table:
 
 
 def differences(evaluations: Seq[Evaluation]) -> Table:
-    """The first tracker minus each of the others, with paired 95 % bootstrap intervals."""
+    """Return the first tracker minus each of the others, with paired 95 % bootstrap intervals."""
     first, *others = evaluations
     rows = []
     for other in others:
@@ -75,7 +75,7 @@ def differences(evaluations: Seq[Evaluation]) -> Table:
 
 
 def published_figures(subset: str) -> Table:
-    """What the literature says, with its source; empty for other benchmarks."""
+    """Return the figures of the literature with their source; an empty table for other benchmarks."""
     text = resources.files(__package__).joinpath("data/published.csv").read_text(encoding="utf-8")
     rows = [row for row in csv.DictReader(text.splitlines()) if row["set"] == subset]
     return Table(

@@ -38,7 +38,7 @@ class Tracker(Protocol):
 
 
 def said(result: Any, tracker: Tracker) -> tuple[float, float]:
-    """How sure a tracker is of its last result, and the index of its status; NaN for what it does not say.
+    """Return how sure a tracker is of its last result, and the index of its status; NaN for what it does not say.
 
     Both are looked for as ``confidence`` and ``status`` on the result, then on the tracker.
     """
@@ -55,14 +55,14 @@ class Entry(Protocol):
 
     @property
     def name(self) -> str:
-        """Its label, and the name of its folder of results."""
+        """Return its label, which is also the name of its folder of results."""
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Config and a hash of the code: results are kept as long as both stay the same. JSON."""
+        """Return configuration and a hash of the code as values for JSON; results are kept while both stay the same."""
 
     def make(self) -> Tracker:
-        """A tracker that has not started."""
+        """Return a tracker that has not started."""
 
 
 @dataclass(frozen=True)
@@ -93,11 +93,11 @@ class ResultFolder:
     folder: Path
 
     def under(self, protocol: str) -> ResultFolder:
-        """The folder for a protocol."""
+        """Return the folder for a protocol."""
         return ResultFolder(self.name, Path(str(self.folder).replace("{protocol}", protocol)))
 
     def find(self, sequence: str, key: str) -> Path:
-        """The file of a run. Raises DataError where there is none."""
+        """Return the file of a run. Raises DataError if there is none."""
         base, dash, number = sequence.partition("-")
         spellings = [sequence] + ([f"{base}.{number}", f"{base}_{number}", f"{base}{number}"] if dash else [])
         suffix = f".{key}.txt" if key else ".txt"
@@ -108,11 +108,11 @@ class ResultFolder:
         raise DataError(f"{self.folder}: has no {sequence}{suffix}")
 
     def record(self, sequence: str) -> Record | None:
-        """How the files were made, where they are our own."""
+        """Return how the files were made; None if they are not our own."""
         return read_record(self.folder / f"{sequence}.json")
 
     def speed(self, sequence: str) -> Speed | None:
-        """From the record, else from ``times/<Sequence>_time.txt``, got10k's seconds a frame."""
+        """Return the speed by the record or ``times/<Sequence>_time.txt``, got10k's seconds a frame; None without."""
         if (record := self.record(sequence)) is not None:
             return record.speed
         path = self.folder / "times" / f"{sequence}_time.txt"
@@ -130,7 +130,7 @@ BESIDE_THE_TRACKER = {"otb", "cli", "synthetic", "adapters.py"}
 
 @functools.cache
 def code_hash() -> str:
-    """Hash of the tracker's source: comments, docstrings and layout do not change it."""
+    """Return a hash of the tracker's source, 16 hex digits: comments, docstrings and layout do not change it."""
     package = Path(__file__).resolve().parents[1]
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):
@@ -149,5 +149,5 @@ class _WithoutStrings(ast.NodeTransformer):
 
 
 def identity_hash(identity: dict[str, Any]) -> str:
-    """Short hash of what :attr:`Entry.identity` says."""
+    """Return a short hash of an :attr:`Entry.identity`."""
     return hashlib.sha256(json.dumps(identity, sort_keys=True, default=str).encode()).hexdigest()[:16]

@@ -40,7 +40,7 @@ class Judged:
 
     @property
     def present(self) -> Mask:
-        """The frames with a target."""
+        """Return the frames with a target."""
         return np.isfinite(self.overlap)
 
 
@@ -55,7 +55,7 @@ class Pool:
 
     @classmethod
     def of(cls, sequences: Iterable[Judged]) -> Pool:
-        """All frames of these sequences in which the target is present."""
+        """Return all frames of these sequences in which the target is present."""
         parts = [(j, j.present) for j in sequences if j.present.any()]
         return cls(
             np.concatenate([j.overlap[p] for j, p in parts]),
@@ -66,7 +66,7 @@ class Pool:
 
     @property
     def is_probability(self) -> bool:
-        """Whether all confidences lie in [0, 1]."""
+        """Return whether all confidences lie in [0, 1]."""
         return bool(self.confidence.min() >= 0 and self.confidence.max() <= 1)
 
     @property
@@ -79,7 +79,7 @@ class Pool:
 
 
 def auroc(score: Array, right: Mask, weight: Array) -> float:
-    """Probability that a right frame has a higher score than another one, ties counted half; NaN without both."""
+    """Return the probability that a right frame scores higher than another, ties counted half; NaN without both."""
     values, place = np.unique(score, return_inverse=True)
     positive = np.bincount(place, weight * right, len(values))
     negative = np.bincount(place, weight * ~right, len(values))
@@ -91,7 +91,10 @@ def auroc(score: Array, right: Mask, weight: Array) -> float:
 
 
 def caught(score: Array, right: Mask, wrong: Mask, weight: Array, refused: float = REFUSED) -> float:
-    """Share of wrong frames with a score below the value that a share ``refused`` of the right ones is below."""
+    """Return the share of wrong frames whose score is below a limit; NaN without right and wrong frames.
+
+    The limit is the score below which the share ``refused`` of the right frames lies.
+    """
     if not right.any() or not wrong.any():
         return float("nan")
     limit = weighted_quantile(score[right], weight[right], refused)
@@ -99,7 +102,7 @@ def caught(score: Array, right: Mask, wrong: Mask, weight: Array, refused: float
 
 
 def weighted_quantile(values: Array, weight: Array, share: float) -> float:
-    """The smallest value up to which at least that share of the weight lies."""
+    """Return the smallest value up to which at least that share of the weight lies."""
     order = np.argsort(values, kind="stable")
     reached = np.cumsum(weight[order])
     return float(values[order][min(np.searchsorted(reached, share * reached[-1]), len(values) - 1)])
@@ -115,13 +118,13 @@ class Calibration:
 
     @property
     def error(self) -> float:
-        """Expected calibration error: mean distance of confidence and share of right frames over the bins."""
+        """Return the expected calibration error: over bins, the mean of abs(confidence - share of right frames)."""
         known = self.weight > 0
         return float((self.weight * np.abs(self.confidence - self.right))[known].sum() / self.weight.sum())
 
 
 def calibration(confidence: Array, right: Mask, weight: Array, bins: int = BINS) -> Calibration:
-    """The reliability diagram of confidences in [0, 1]; empty bins hold NaN."""
+    """Return the reliability diagram of confidences in [0, 1]; empty bins hold NaN."""
     place = np.minimum((confidence * bins).astype(int), bins - 1)
     total = np.bincount(place, weight, bins)
     with np.errstate(invalid="ignore"):
@@ -133,14 +136,17 @@ def calibration(confidence: Array, right: Mask, weight: Array, bins: int = BINS)
 
 
 def risk_coverage(score: Array, right: Mask, weight: Array) -> tuple[Array, Array]:
-    """Share of frames accepted and share of not-right ones among these, from the highest score down, ``(N,)`` each."""
+    """Return the share of frames accepted, from the highest score down, and of not-right ones among them, ``(N,)``."""
     order = np.argsort(-score, kind="stable")
     accepted = np.cumsum(weight[order])
     return accepted / accepted[-1], np.cumsum((weight * ~right)[order]) / accepted
 
 
 def status_table(pool: Pool) -> Array:
-    """Share of frames (rows: right, between, wrong; columns: :data:`STATUSES`), each row of sum 1 or NaN."""
+    """Return the share of frames by truth and status; each row sums to 1, or is NaN.
+
+    Rows are right, between and wrong; columns are :data:`STATUSES`.
+    """
     rows = (pool.right, ~pool.right & ~pool.wrong, pool.wrong)
     table = np.array([[pool.weight[row & (pool.status == k)].sum() for k in range(len(STATUSES))] for row in rows])
     with np.errstate(invalid="ignore"):
@@ -148,7 +154,7 @@ def status_table(pool: Pool) -> Array:
 
 
 def tracked_wrong(pool: Pool) -> float:
-    """Share of wrong frames among those called tracking."""
+    """Return the share of wrong frames among those called tracking."""
     tracking = pool.status == STATUSES.index("tracking")
     return float(pool.weight[tracking & pool.wrong].sum() / pool.weight[tracking].sum()) if tracking.any() else 0.0
 
@@ -164,10 +170,11 @@ class LongTerm:
 
 
 def long_term(sequences: Seq[Judged]) -> LongTerm:
-    """VOT's long-term measures (Lukežič et al., 2018): boxes below a threshold count as not given.
+    """Return VOT's long-term measures (Lukežič et al., 2018, arXiv:1804.07056).
 
-    Precision is the mean overlap over the frames with a box, an absent target's being 0; recall the mean over the
-    frames with a target, a frame without a box being 0; each sequence weighs alike.
+    Boxes below a threshold count as not given. Precision is the mean overlap over the frames with a box, 0 where the
+    target is absent. Recall is the mean overlap over the frames with a target, 0 where there is no box. Each sequence
+    has the same weight.
     """
     thresholds = np.unique(np.concatenate([j.confidence for j in sequences]))
     if len(thresholds) > 200:
@@ -187,7 +194,10 @@ def long_term(sequences: Seq[Judged]) -> LongTerm:
 
 
 def absent_tracked(sequences: Iterable[Judged]) -> float:
-    """Share of the frames without a target that are called tracking, each sequence with absences alike; NaN if none."""
+    """Return the share of the frames without a target that are called tracking; NaN if there are none.
+
+    Each sequence with such frames has the same weight.
+    """
     shares = [np.mean(j.status[~j.present] == STATUSES.index("tracking")) for j in sequences if not j.present.all()]
     return float(np.mean(shares)) if shares else float("nan")
 
@@ -205,7 +215,7 @@ class Trust:
 
 
 def measure(sequences: Seq[Judged], seed: int = 0) -> Trust:
-    """Ranking and calibration of a tracker's confidence over these sequences."""
+    """Return ranking and calibration of a tracker's confidence over these sequences."""
     sequences = [j for j in sequences if j.present.any()]
 
     def figures(some: Seq[Judged]) -> tuple[float, float]:
@@ -229,7 +239,7 @@ def measure(sequences: Seq[Judged], seed: int = 0) -> Trust:
 
 
 def _interval(drawn: Array) -> tuple[float, float]:
-    """The middle 95 % of the resampled figures that have a value."""
+    """Return the middle 95 % of the resampled figures that have a value."""
     known = drawn[np.isfinite(drawn)]
     if not len(known):
         return float("nan"), float("nan")

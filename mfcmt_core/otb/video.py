@@ -56,15 +56,15 @@ _reader = _Reader()
 
 
 def read_video_frame(path: Path, index: int) -> npt.NDArray[np.uint8]:
-    """Frame ``index`` of a video, (H, W, 3) uint8, BGR; cheap where the frame before it was read last.
+    """Return frame ``index`` of a video, (H, W, 3) uint8, BGR; cheap if the frame before it was read last.
 
-    Raises DataError where the file has no such frame, and where it or one before it is damaged.
+    Raises DataError if the file has no such frame, and if this frame or one before it is damaged.
     """
     return _reader.read(path, index)
 
 
 def count_frames(path: Path) -> int | None:
-    """How many frames a video says it has; None where it does not say. Raises DataError for no video."""
+    """Return how many frames a video says it has; None if it does not say. Raises DataError for no video."""
     try:
         with VideoReader(path) as video:
             return video.length
