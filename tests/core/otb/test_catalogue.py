@@ -22,7 +22,7 @@ def engine(text: str) -> Engine:
     return entry
 
 
-def test_presets() -> None:
+def test_a_preset_is_found_by_its_name_and_takes_a_label() -> None:
     assert engine("default").config == MFCMTConfig.default()
     assert engine("paper").config == MFCMTConfig.paper()
     assert engine("mine=paper").name == "mine"
@@ -71,7 +71,7 @@ def test_a_choice_of_default_goes_back_to_the_papers_way(name: str) -> None:
     assert changed != base
 
 
-def test_a_configuration_file(tmp_path: Path) -> None:
+def test_a_configuration_file_changes_its_base(tmp_path: Path) -> None:
     path = tmp_path / "slow.toml"
     path.write_text('base = "paper"\ntemplate_learning_rate = 0.005\nfeatures = ["gray", "fhog"]\n')
     entry = engine(str(path))
@@ -99,7 +99,7 @@ def test_a_bad_configuration_file_is_named(tmp_path: Path, text: str, says: str)
     assert str(path) in str(caught.value)
 
 
-def test_folders_and_unknown_names(tmp_path: Path) -> None:
+def test_a_folder_is_taken_as_results_and_an_unknown_name_is_refused(tmp_path: Path) -> None:
     assert resolve(str(tmp_path)) == ResultFolder(tmp_path.name, tmp_path)
     assert resolve(f"KCF={tmp_path}").name == "KCF"
     with pytest.raises(DataError, match="no tracker 'best'"):

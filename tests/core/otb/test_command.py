@@ -18,7 +18,7 @@ from mfcmt_core.cli import main
 from mfcmt_core.confidence import DEFAULT
 
 
-def test_scores_published_boxes(
+def test_eval_prints_the_scores_of_published_boxes(
     annotations: Path, published: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folders = [str(published / n) for n in ("MCCT-H", "Struck")]
@@ -33,7 +33,9 @@ def test_scores_published_boxes(
     assert "has no ClifBar.txt" in captured.err
 
 
-def test_runs_reports_and_films(otb_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_eval_writes_results_a_report_and_a_film(
+    otb_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     command = ["eval", "--data", str(otb_root), "--results", str(tmp_path / "results"), "--jobs", "1"]
     command += ["--sequences", "Deer", "--trackers", "default,paper", "--report", str(tmp_path / "report")]
     command += ["--trust"]
@@ -60,7 +62,7 @@ def test_runs_reports_and_films(otb_root: Path, tmp_path: Path, capsys: pytest.C
         (["--sequences", "Deer,Nothing"], 1, "has no Nothing"),
     ],
 )
-def test_bad_arguments(
+def test_bad_arguments_are_refused_and_leave_no_file(
     annotations: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

@@ -56,7 +56,7 @@ def test_the_table_of_targets_has_the_totals_of_the_benchmark() -> None:
     assert {a: sum(a in t.attributes for t in otb_targets()) for a in ATTRIBUTES} == TOTALS
 
 
-def test_annotations_alone(otb2015: Dataset) -> None:
+def test_annotations_alone_make_the_100_targets_of_the_benchmark(otb2015: Dataset) -> None:
     assert len(otb2015) == 100
     assert not otb2015.missing
     assert sum(map(len, otb2015)) == 59040 - 5  # Tiger1 starts at frame 6
@@ -68,7 +68,7 @@ def test_annotations_alone(otb2015: Dataset) -> None:
     }
 
 
-def test_the_real_sequences(otb_root: Path) -> None:
+def test_the_real_sequences_have_a_frame_for_each_box(otb_root: Path) -> None:
     dataset = open_otb(otb_root)
     assert dataset.coverage == f"{len(dataset)} of 100"
     for sequence in dataset:
@@ -80,12 +80,12 @@ def test_the_real_sequences(otb_root: Path) -> None:
 
 
 @pytest.mark.parametrize("delimiter", [",", "\t", " ", ", "])
-def test_delimiters(tmp_path: Path, delimiter: str) -> None:
+def test_boxes_are_read_whatever_delimits_their_numbers(tmp_path: Path, delimiter: str) -> None:
     truth(tmp_path / "boxes.txt", 3, delimiter)
     assert read_boxes(tmp_path / "boxes.txt").tolist() == [[10 + i, 20, 30, 40] for i in range(3)]
 
 
-def test_late_start_in_a_whole_folder_and_in_a_cut_one(tmp_path: Path) -> None:
+def test_a_late_start_is_found_in_a_whole_folder_and_in_a_cut_one(tmp_path: Path) -> None:
     images(tmp_path / "whole" / "David" / "img", range(1, 771))
     truth(tmp_path / "whole" / "David" / "groundtruth_rect.txt", 471)
     images(tmp_path / "cut" / "BlurCar3" / "img", range(3, 360))
@@ -94,7 +94,7 @@ def test_late_start_in_a_whole_folder_and_in_a_cut_one(tmp_path: Path) -> None:
     assert open_otb(tmp_path / "cut")["BlurCar3"].frames[0].name == "0003.jpg"
 
 
-def test_five_digits_and_more_images_than_annotations(tmp_path: Path) -> None:
+def test_images_may_have_five_digits_and_be_more_than_the_annotations(tmp_path: Path) -> None:
     images(tmp_path / "Board" / "img", range(1, 699), digits=5)
     truth(tmp_path / "Board" / "groundtruth_rect.txt", 698)
     images(tmp_path / "Football1" / "img", range(1, 82))
@@ -113,7 +113,7 @@ def test_tiger1_starts_at_frame_6_as_in_the_published_results(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("spelling", ["one folder", "two folders", "dotted"])
-def test_doubled_targets(tmp_path: Path, spelling: str) -> None:
+def test_two_targets_of_one_sequence_are_found_in_each_spelling(tmp_path: Path, spelling: str) -> None:
     names = {
         "one folder": ["Jogging"],
         "two folders": ["Jogging-1", "Jogging-2"],
@@ -190,7 +190,7 @@ def test_result_files_go_back_and_forth(tmp_path: Path, otb2015: Dataset) -> Non
     assert np.array_equal(read_result(tmp_path / "David.txt", david, start=0)[5:], david.boxes[5:])
 
 
-def test_result_files_that_are_longer_or_shorter(tmp_path: Path, otb2015: Dataset) -> None:
+def test_longer_result_files_are_cut_and_shorter_ones_refused(tmp_path: Path, otb2015: Dataset) -> None:
     tiger = otb2015["Tiger1"]
     whole = np.vstack([np.full((5, 4), 7.0), tiger.boxes])
     write_boxes(tmp_path / "from-frame-1.txt", whole)

@@ -15,7 +15,7 @@ from mfcmt_core.otb.video import read_video_frame
 from .test_dataset import images, truth
 
 
-def test_got10k(tmp_path: Path) -> None:
+def test_got10k_is_opened_with_its_boxes_as_they_are(tmp_path: Path) -> None:
     for k in (2, 1):
         folder = tmp_path / f"GOT-10k_Val_{k:06d}"
         images(folder, range(1, 6), digits=8)
@@ -28,7 +28,7 @@ def test_got10k(tmp_path: Path) -> None:
     assert len(first.frames) == 5
 
 
-def test_vot_rectangles_and_polygons(tmp_path: Path) -> None:
+def test_vot_is_opened_with_polygons_as_rectangles(tmp_path: Path) -> None:
     (tmp_path / "list.txt").write_text("ball\nbag\nabsent\n")
     images(tmp_path / "ball" / "color", range(1, 4), digits=8)
     (tmp_path / "ball" / "groundtruth.txt").write_text("10,20,30,40\n" * 3)
@@ -41,7 +41,7 @@ def test_vot_rectangles_and_polygons(tmp_path: Path) -> None:
     assert dataset["bag"].boxes[0].tolist() == [10, 10, 40, 30]
 
 
-def test_uav123_parts_and_absent_targets(tmp_path: Path) -> None:
+def test_uav123_is_opened_in_parts_and_absent_targets_are_not_scored(tmp_path: Path) -> None:
     (tmp_path / "anno" / "UAV123").mkdir(parents=True)
     images(tmp_path / "data_seq" / "UAV123" / "bird1", range(770, 781), digits=6)
     truth(tmp_path / "anno" / "UAV123" / "bird1_2.txt", 4)
@@ -58,7 +58,7 @@ def test_uav123_parts_and_absent_targets(tmp_path: Path) -> None:
     assert result.precision == 1
 
 
-def test_plain_folders(tmp_path: Path) -> None:
+def test_plain_folders_are_opened_with_boxes_that_count_from_1(tmp_path: Path) -> None:
     images(tmp_path / "mine" / "img", range(7, 10))
     truth(tmp_path / "mine" / "gt.txt", 3, " ")
     images(tmp_path / "other", range(3))
@@ -92,7 +92,7 @@ def film(path: Path, frames: int) -> None:
     writer.release()
 
 
-def test_videos_with_their_truth_beside(tmp_path: Path) -> None:
+def test_videos_are_opened_with_the_truth_beside_them(tmp_path: Path) -> None:
     film(tmp_path / "VOT-ball.avi", 6)
     (tmp_path / "VOT-ball.txt").write_text("10,20,30,40\n" * 3 + "nan,nan,nan,nan\n" + "10,20,30,40\n" * 2)
     film(tmp_path / "without.avi", 2)

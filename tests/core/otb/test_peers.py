@@ -42,7 +42,7 @@ def test_a_miss_keeps_the_box_before() -> None:
     assert [tracker.update(FRAME) for _ in range(3)] == [(5, 6, 7, 8), (5, 6, 7, 8), (6, 6, 7, 8)]
 
 
-def test_a_real_tracker_of_opencv(otb_root: Path) -> None:
+def test_a_real_tracker_of_opencv_follows_its_target(otb_root: Path) -> None:
     """MIL is the one that every wheel of OpenCV has."""
     crossing = open_otb(otb_root)["Crossing"]
     tracker = OpenCVPeer(cv2.TrackerMIL_create)  # type: ignore[attr-defined]
@@ -52,7 +52,7 @@ def test_a_real_tracker_of_opencv(otb_root: Path) -> None:
     assert errors.max() < 20
 
 
-def test_dlib(otb_root: Path) -> None:
+def test_the_tracker_of_dlib_follows_its_target(otb_root: Path) -> None:
     require(importlib.util.find_spec("dlib"), "needs dlib (pip install dlib-bin)")
     crossing = open_otb(otb_root)["Crossing"]
     tracker = DlibPeer()
@@ -94,7 +94,7 @@ print(json.dumps([float(v) for v in tracker.update(crossing.read(1))]))
 
 
 @pytest.mark.parametrize("name", ["opencv-csrt", "opencv-kcf", "opencv-mosse"])
-def test_contrib_trackers(name: str, otb_root: Path) -> None:
+def test_trackers_of_opencv_contrib_run_in_their_own_environment(name: str, otb_root: Path) -> None:
     """In the environment of their own, for their wheel replaces the one that the project uses."""
     python = ROOT / ".venv-peers" / "bin" / "python"
     require(python.exists(), f"{Peer(name, name).lacks} is not installed (make peers)")

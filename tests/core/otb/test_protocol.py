@@ -59,7 +59,7 @@ def test_tre_of_a_short_sequence_has_fewer_runs_like_the_toolkit() -> None:
     assert [run.start for run in tre(sequence(10))] == [0]
 
 
-def test_tre_of_all_targets_of_otb(otb2015: Dataset) -> None:
+def test_tre_has_20_valid_starts_on_every_target_of_otb(otb2015: Dataset) -> None:
     for target in otb2015:
         runs = tre(target)
         assert len(runs) == 20, target.name
@@ -84,7 +84,7 @@ def test_tre_of_all_targets_of_otb(otb2015: Dataset) -> None:
         ("scale_12", (195, 206, 41, 97)),
     ],
 )
-def test_sre_boxes_of_basketball(key: str, expected: tuple[int, ...]) -> None:
+def test_sre_boxes_of_basketball_are_those_of_the_toolkit(key: str, expected: tuple[int, ...]) -> None:
     """The first box of Basketball is 198,214,34,81; ``left`` is the start of published SRE results."""
     assert shifted(np.array([198.0, 214, 34, 81]), key, (576, 432)).tolist() == list(expected)
 

@@ -90,7 +90,9 @@ def test_published_figures_are_cited(otb2015: Dataset) -> None:
     assert all(row[-1] for row in rows.values())
 
 
-def test_files(tmp_path: Path, evaluations: list[Evaluation], otb2015: Dataset) -> None:
+def test_the_report_has_its_page_plots_and_scores_as_files(
+    tmp_path: Path, evaluations: list[Evaluation], otb2015: Dataset
+) -> None:
     pytest.importorskip("matplotlib")
     write_report(tmp_path, otb2015, {"OPE": evaluations}, command="mfcmt eval --x <y>")
     page = (tmp_path / "report.html").read_text()

@@ -19,7 +19,7 @@ def sequence(boxes: list[list[float]], name: str = "made", skip_invalid: bool = 
     return Sequence(name, (), rows, valid, valid, skip_invalid=skip_invalid)
 
 
-def test_overlap_of_known_boxes() -> None:
+def test_overlap_is_intersection_over_union() -> None:
     a = np.array([[0.0, 0, 10, 10], [0, 0, 10, 10], [0, 0, 10, 10], [0, 0, 0, 0]])
     b = np.array([[0.0, 0, 10, 10], [5, 0, 10, 10], [10, 0, 10, 10], [0, 0, 0, 0]])
     assert metrics.overlap(a, b).tolist() == [1, pytest.approx(1 / 3), 0, 0]

@@ -40,7 +40,7 @@ def test_auroc_counts_pairs_and_half_of_the_ties():
     assert math.isnan(auroc(np.zeros(4), np.ones(4, bool), ones))
 
 
-def test_auroc_weighs_frames():
+def test_auroc_counts_frames_by_their_weight():
     score, right = np.array([3.0, 2, 1]), np.array([True, False, True])
     assert auroc(score, right, np.array([3.0, 1, 1])) == 0.75
 
@@ -82,7 +82,7 @@ def test_status_table_has_a_row_for_each_truth():
     assert tracked_wrong(pool) == 0.5
 
 
-def test_long_term_precision_recall_and_f():
+def test_long_term_measures_are_taken_at_the_threshold_of_the_largest_f():
     """Two frames with the target, found at 0.8 and missed; one without it, on which a sure box lies."""
     film = judged("film", [0.8, 0.0, NAN], [0.9, 0.1, 0.5])
     best = long_term([film])
@@ -91,7 +91,7 @@ def test_long_term_precision_recall_and_f():
     assert best.f == pytest.approx(2 * 0.8 * 0.4 / 1.2)
 
 
-def test_absent_frames_that_are_called_tracking():
+def test_absent_frames_that_are_called_tracking_are_counted():
     film = judged("film", [0.8, NAN, NAN, NAN], [1] * 4, [TRACKING, TRACKING, LOST, UNCERTAIN])
     assert absent_tracked([film, judged("whole", [0.8], [1], [TRACKING])]) == pytest.approx(1 / 3)
     assert math.isnan(absent_tracked([judged("whole", [0.8], [1], [TRACKING])]))

@@ -116,7 +116,7 @@ async def test_without_workers_the_main_thread_encodes(service: OwnServer, pages
 
 
 @pytest.mark.parametrize("kind", ["bitmap", "videoframe", "imagedata", "offscreen"])
-async def test_every_kind_of_pixels(pages: Pages, service: OwnServer, clip: Clip, kind: str) -> None:
+async def test_every_kind_of_pixels_is_tracked(pages: Pages, service: OwnServer, clip: Clip, kind: str) -> None:
     async with opened(pages, service.url) as (run, _):
         kept = await run("frames", clip, kind=kind, stream={"quality": 0.95})
         moved = await run("frames", clip, kind=kind, stream={"quality": 0.95}, transfer=True)
@@ -136,7 +136,7 @@ async def test_regions_give_the_same_boxes_for_fewer_bytes(pages: Pages, service
     assert sent + saved == pytest.approx(whole["stats"]["bytesSent"], rel=0.15)
 
 
-async def test_regions_in_latest(pages: Pages, service: OwnServer, clip: Clip) -> None:
+async def test_regions_save_bytes_in_latest_too(pages: Pages, service: OwnServer, clip: Clip) -> None:
     async with opened(pages, service.url) as (run, _):
         stream = {"mode": "latest", "regions": True}
         report = await run("resumed", clip, kind="canvas", stream=stream, everyMs=20)
@@ -147,7 +147,9 @@ async def test_regions_in_latest(pages: Pages, service: OwnServer, clip: Clip) -
 
 
 @pytest.mark.parametrize("mode", ["latest", "lossless"])
-async def test_a_target_outside_of_the_cut(pages: Pages, service: OwnServer, clip: Clip, mode: str) -> None:
+async def test_a_target_outside_of_the_cut_makes_the_next_frame_whole(
+    pages: Pages, service: OwnServer, clip: Clip, mode: str
+) -> None:
     """The frame that a new target needs is sent whole, unasked."""
     width, height = clip.size
     other = [4, 4, width / 8, height / 8] if clip.box[0] > width / 2 else [width * 0.85, height * 0.8, 30, 30]
@@ -179,7 +181,9 @@ async def test_frames_are_scaled_to_what_was_asked(pages: Pages, service: OwnSer
     assert np.mean(overlaps(boxes, clip)) > 0.7
 
 
-async def test_follows_a_camera(pages: Pages, service: OwnServer, clip: Clip, tmp_path: Path) -> None:
+async def test_a_camera_is_followed_frame_by_frame(
+    pages: Pages, service: OwnServer, clip: Clip, tmp_path: Path
+) -> None:
     """A film in place of the camera, frame by frame through `<video>`."""
     film = tmp_path / "camera.y4m"
     write_y4m(film, [decode(clip.frame(index), LIMITS)[0] for index in range(2 * len(clip.frames) - 2)])
@@ -198,7 +202,7 @@ async def test_follows_a_camera(pages: Pages, service: OwnServer, clip: Clip, tm
     assert report["violations"] == []
 
 
-async def test_refusals_are_readable(pages: Pages, service: OwnServer, clip: Clip) -> None:
+async def test_refusals_are_readable_by_a_page(pages: Pages, service: OwnServer, clip: Clip) -> None:
     async with opened(pages, service.url) as (run, _):
         report = await run("refusals", clip)
     assert {name: problem["code"] for name, problem in report.items()} == {
@@ -214,7 +218,9 @@ async def test_refusals_are_readable(pages: Pages, service: OwnServer, clip: Cli
 
 
 @pytest.mark.parametrize(("mode", "kind"), [("lossless", "blob"), ("lossless", "canvas"), ("latest", "canvas")])
-async def test_resumes_through_cuts(pages: Pages, service: OwnServer, clip: Clip, mode: str, kind: str) -> None:
+async def test_a_stream_is_resumed_through_cuts(
+    pages: Pages, service: OwnServer, clip: Clip, mode: str, kind: str
+) -> None:
     async with Cable(service.port) as cable:
 
         async def cutter(page: Any) -> None:

@@ -95,7 +95,7 @@ async def test_a_reader_that_rests_is_not_flooded(server: OwnServer, scenario: S
     assert report["seqs"] == list(range(1, 101))
 
 
-async def test_lossless_through_cuts(server: OwnServer, clip: Clip, scenario: Scenario) -> None:
+async def test_lossless_tracks_every_frame_once_through_cuts(server: OwnServer, clip: Clip, scenario: Scenario) -> None:
     """Every frame is tracked exactly once and in order, whatever happens to the connection."""
     cuts = 0
     with watch(server):
@@ -116,7 +116,9 @@ async def test_lossless_through_cuts(server: OwnServer, clip: Clip, scenario: Sc
     assert all(a["seq"] < b["seq"] for a, b in pairwise(report["results"]))
 
 
-async def test_latest_through_cuts(server: OwnServer, clip: Clip, scenario: Scenario) -> None:
+async def test_latest_goes_on_to_the_newest_frame_through_cuts(
+    server: OwnServer, clip: Clip, scenario: Scenario
+) -> None:
     async with Cable(server.port) as cable:
 
         def heard(line: dict[str, Any]) -> None:
@@ -129,7 +131,7 @@ async def test_latest_through_cuts(server: OwnServer, clip: Clip, scenario: Scen
     assert len(report["results"]) > 20
 
 
-async def test_takes_over_its_own_dead_connection(server: OwnServer, clip: Clip, scenario: Scenario) -> None:
+async def test_a_client_takes_over_its_own_dead_connection(server: OwnServer, clip: Clip, scenario: Scenario) -> None:
     """A connection that carries nothing any more and says nothing."""
     async with Cable(server.port) as cable:
 
@@ -166,7 +168,9 @@ class Restart:
         await asyncio.to_thread(self._server.start)
 
 
-async def test_goes_on_through_a_restart(own_server: Serve, clip: Clip, scenario: Scenario, tmp_path: Path) -> None:
+async def test_a_stream_goes_on_through_a_restart(
+    own_server: Serve, clip: Clip, scenario: Scenario, tmp_path: Path
+) -> None:
     """Sessions outlive the process: it is told, every frame is answered, box for box."""
     server = own_server(state_dir=tmp_path / "state")
     restart = Restart(server, signal.SIGTERM)
@@ -181,7 +185,9 @@ async def test_goes_on_through_a_restart(own_server: Serve, clip: Clip, scenario
     assert order[-2:] == ["open", "closed"]
 
 
-async def test_goes_on_after_a_breakdown(own_server: Serve, clip: Clip, scenario: Scenario, tmp_path: Path) -> None:
+async def test_a_stream_goes_on_after_a_breakdown(
+    own_server: Serve, clip: Clip, scenario: Scenario, tmp_path: Path
+) -> None:
     """kill -9: every frame is answered, and what is forgotten is told."""
     server = own_server(state_dir=tmp_path / "state", checkpoint_every_frames=5)
     restart = Restart(server, signal.SIGKILL)
@@ -192,7 +198,7 @@ async def test_goes_on_after_a_breakdown(own_server: Serve, clip: Clip, scenario
     assert resumed["lostAfter"] in (None, resumed["seq"])
 
 
-async def test_told_that_the_server_went_away(own_server: Serve, scenario: Scenario) -> None:
+async def test_a_stream_is_told_that_its_session_did_not_come_back(own_server: Serve, scenario: Scenario) -> None:
     """A server that comes back without the session ends the stream with the reason."""
     server = own_server(drain_grace_s=1.0)
     statuses: list[str] = []
@@ -211,7 +217,9 @@ async def test_told_that_the_server_went_away(own_server: Serve, scenario: Scena
 
 
 @pytest.mark.parametrize("codec", ["json", "msgpack"])
-async def test_controls_and_refusals_in_a_stream(server: OwnServer, clip: Clip, scenario: Scenario, codec: str) -> None:
+async def test_controls_and_refusals_in_a_stream_are_told(
+    server: OwnServer, clip: Clip, scenario: Scenario, codec: str
+) -> None:
     report = await scenario("controls", server.url, codec=codec)
     assert report["added"] == [0, 1]
     assert report["refused"]["code"] == "target-not-found"
@@ -229,7 +237,7 @@ async def test_controls_and_refusals_in_a_stream(server: OwnServer, clip: Clip, 
     assert (report["ended"]["code"], report["done"], report["status"]) == ("stream-ended", True, "closed")
 
 
-async def test_every_call(server: OwnServer, clip: Clip, scenario: Scenario) -> None:
+async def test_every_call_gives_what_the_service_answers(server: OwnServer, clip: Clip, scenario: Scenario) -> None:
     with watch(server):
         report = await scenario("calls", server.url)
     assert report["info"]["label"] == "from node"
@@ -326,7 +334,7 @@ async def test_what_is_given_wrongly_is_told_before_anything_is_sent(server: Own
         assert "a box is four numbers, [x, y, w, h], not" in refused["detail"]
 
 
-async def test_goes_on_when_its_service_is_back(
+async def test_a_stream_goes_on_when_its_service_is_back(
     own_server: Serve, clip: Clip, scenario: Scenario, tmp_path: Path
 ) -> None:
     """404 of a replica and of a proxy, 502, 503, refused connections: no result is lost or changed."""
@@ -359,7 +367,7 @@ async def test_a_session_that_stays_away_is_given_up(own_server: Serve, scenario
             await scenario("stream", rollout.cable.url, heard, stream=stream)
 
 
-async def test_keys_and_tickets(own_server: Serve, scenario: Scenario) -> None:
+async def test_a_key_or_a_ticket_is_needed_and_a_ticket_admits_once(own_server: Serve, scenario: Scenario) -> None:
     server = own_server(api_keys=KEY)
     async with Cable(server.port) as cable:
 

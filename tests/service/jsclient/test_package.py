@@ -35,7 +35,7 @@ def test_types_name_what_is_there(node: str) -> None:
     assert names["declared"] == names["present"]
 
 
-def test_npm_package(node: str, tmp_path: Path) -> None:
+def test_the_npm_package_is_complete_and_can_be_imported(node: str, tmp_path: Path) -> None:
     """What would be published is complete and has nothing else in it; it can be imported from there."""
     npm = shutil.which("npm")
     require(npm is not None, "no npm")

@@ -47,7 +47,7 @@ async def drained(stream: AsyncStream[Any]) -> list[Result]:
     return [result async for result in stream]
 
 
-async def test_lossless_through_cuts(server: OwnServer, clip: Clip) -> None:
+async def test_lossless_tracks_every_frame_once_through_cuts(server: OwnServer, clip: Clip) -> None:
     """Every frame is tracked exactly once and in order, whatever happens to the connection."""
     with watch(server):
         async with Cable(server.port) as cable, AsyncClient(cable.url) as client:
@@ -70,7 +70,7 @@ async def test_lossless_through_cuts(server: OwnServer, clip: Clip) -> None:
             await session.close()
 
 
-async def test_latest_through_cuts(server: OwnServer, clip: Clip) -> None:
+async def test_latest_goes_on_to_the_newest_frame_through_cuts(server: OwnServer, clip: Clip) -> None:
     async with Cable(server.port) as cable, AsyncClient(cable.url) as client:
         session = await client.create(clip.frames[0], clip.box)
         results: list[Result] = []
@@ -85,7 +85,7 @@ async def test_latest_through_cuts(server: OwnServer, clip: Clip) -> None:
         await session.close()
 
 
-async def test_takes_over_its_own_dead_connection(server: OwnServer, clip: Clip) -> None:
+async def test_a_client_takes_over_its_own_dead_connection(server: OwnServer, clip: Clip) -> None:
     async with (
         Cable(server.port) as cable,
         AsyncClient(cable.url, **IMPATIENT) as client,
@@ -122,7 +122,9 @@ async def test_an_attempt_that_was_not_heard_is_its_own_too(own_server: Serve, c
         assert len(results) == len(clip.frames) - 1
 
 
-async def test_leaves_others_alone(server: OwnServer, client: AsyncClient, clip: Clip) -> None:
+async def test_a_client_does_not_take_over_the_connection_of_another(
+    server: OwnServer, client: AsyncClient, clip: Clip
+) -> None:
     """Whoever took the session over while our connection was dead keeps it."""
     async with (
         Cable(server.port) as cable,
@@ -141,7 +143,7 @@ async def test_leaves_others_alone(server: OwnServer, client: AsyncClient, clip:
             assert (await anext(other)).target.status
 
 
-async def test_told_that_it_was_taken_over(client: AsyncClient, clip: Clip) -> None:
+async def test_a_stream_is_told_that_it_was_taken_over(client: AsyncClient, clip: Clip) -> None:
     async with await client.create(clip.frames[0], clip.box) as session:
         first = session.stream(mode="lossless")
         async with first, session.stream(mode="lossless", takeover=True) as second:
@@ -174,7 +176,7 @@ async def test_a_refused_frame_is_raised_and_the_stream_goes_on(client: AsyncCli
         assert [p.code for p in taken] == ["unsupported-image"]
 
 
-async def test_problems_of_calls(client: AsyncClient, clip: Clip) -> None:
+async def test_refused_calls_raise_a_problem_with_its_code(client: AsyncClient, clip: Clip) -> None:
     with pytest.raises(Problem) as refused:
         await client.session("no-such-session")
     assert (refused.value.code, refused.value.status) == ("session-not-found", 404)
@@ -202,7 +204,7 @@ async def test_problems_of_calls(client: AsyncClient, clip: Clip) -> None:
     assert refused.value.code == "session-gone"
 
 
-async def test_controls_in_a_stream(client: AsyncClient, clip: Clip) -> None:
+async def test_controls_in_a_stream_change_its_targets(client: AsyncClient, clip: Clip) -> None:
     session = await client.create(clip.frames[0], clip.box)
     async with session, session.stream(mode="lossless") as stream:
         assert [t.id for t in (await stream.add(clip.box)).targets] == [0, 1]
@@ -220,7 +222,7 @@ async def test_controls_in_a_stream(client: AsyncClient, clip: Clip) -> None:
         assert [t.id for t in (await stream.remove(0)).targets] == [1]
 
 
-async def test_regions_with_a_cut_of_ones_own(client: AsyncClient, clip: Clip) -> None:
+async def test_frames_cut_by_a_function_of_ones_own_are_all_tracked(client: AsyncClient, clip: Clip) -> None:
     """Most frames are cuts, all are tracked, none is refused."""
     cuts: list[Region | None] = []
 
@@ -249,7 +251,7 @@ async def test_a_reader_that_pauses_is_not_flooded(client: AsyncClient, clip: Cl
         assert seqs == list(range(1, 40))
 
 
-async def test_a_server_that_comes_back_without_the_session(own_server: Serve, clip: Clip) -> None:
+async def test_a_server_that_comes_back_without_the_session_ends_the_stream(own_server: Serve, clip: Clip) -> None:
     server = own_server(drain_grace_s=0.2)
     async with AsyncClient(server.url) as client:
         session = await client.create(clip.frames[0], clip.box)
@@ -262,7 +264,7 @@ async def test_a_server_that_comes_back_without_the_session(own_server: Serve, c
         assert gone.value.code == "session-not-found"
 
 
-async def test_a_server_that_does_not_come_back(own_server: Serve, clip: Clip) -> None:
+async def test_a_server_that_does_not_come_back_is_a_lost_connection(own_server: Serve, clip: Clip) -> None:
     server = own_server(drain_grace_s=0.2)
     async with AsyncClient(server.url, timeout_s=2) as client:
         session = await client.create(clip.frames[0], clip.box)
@@ -370,7 +372,7 @@ async def test_creating_waits_for_a_place_as_long_as_it_is_told(own_server: Serv
         assert (await restoring).info.seq == 0
 
 
-async def test_sources_that_are_wrong(client: AsyncClient, clip: Clip) -> None:
+async def test_wrong_sources_raise_an_error_that_says_why(client: AsyncClient, clip: Clip) -> None:
     async with await client.create(clip.frames[0], clip.box) as session:
         with pytest.raises(ClientError, match="bytes or a Path, not str"):
             await drained(session.stream(["text"], mode="lossless"))
@@ -386,6 +388,6 @@ async def test_sources_that_are_wrong(client: AsyncClient, clip: Clip) -> None:
         assert (await session.track(Frame(clip.frames[2]))).seq >= 1
 
 
-def test_no_numpy_no_opencv() -> None:
+def test_the_client_imports_neither_numpy_nor_opencv() -> None:
     code = "import sys, service.client; sys.exit(bool({'numpy', 'cv2', 'numba'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -52,7 +52,9 @@ def bad_frames(good: bytes, size: tuple[int, int]) -> dict[str, tuple[bytes, str
 
 
 @pytest.mark.parametrize("way", [MSGPACK, JSON, "latest", "http"])
-async def test_bad_frames(server: OwnServer, client: AsyncClient, clip: Clip, way: str) -> None:
+async def test_a_bad_frame_is_refused_and_changes_nothing(
+    server: OwnServer, client: AsyncClient, clip: Clip, way: str
+) -> None:
     """After each of them the next good frame is tracked as if it had not been."""
     bad = bad_frames(clip.frames[1], clip.size)
     said = in_process(clip, [clip.box])
@@ -126,7 +128,9 @@ BAD_BOXES: list[list[float]] = [
 
 
 @pytest.mark.parametrize("box", BAD_BOXES)
-async def test_bad_boxes(server: OwnServer, client: AsyncClient, clip: Clip, box: list[float]) -> None:
+async def test_a_bad_box_is_refused_and_changes_nothing(
+    server: OwnServer, client: AsyncClient, clip: Clip, box: list[float]
+) -> None:
     """For a session, for a target over HTTP and in a stream; the session goes on as it was."""
     with watch(server):
         with pytest.raises(Problem) as refused:

@@ -152,7 +152,7 @@ def _binary(payload: bytes) -> bytes:
 
 @pytest.mark.parametrize("abrupt", [True, False])
 @pytest.mark.parametrize("part", [0.3, 1.0])
-async def test_a_client_that_vanishes(
+async def test_a_session_lives_on_when_its_client_vanishes(
     server: OwnServer, client: AsyncClient, clip: Clip, abrupt: bool, part: float
 ) -> None:
     """In the middle of a message, or with a frame in work: the session lives on, with what was whole."""
@@ -176,7 +176,7 @@ async def test_a_client_that_vanishes(
             assert_same(result.target, in_process(clip, [clip.box])[seq][0])
 
 
-async def test_a_client_that_never_reads(own_server: Serve, clip: Clip) -> None:
+async def test_a_client_that_never_reads_is_cut_off_alone(own_server: Serve, clip: Clip) -> None:
     """It is cut off, the front's memory stays, its neighbour notices nothing and the session lives on."""
     server = own_server(send_timeout_s=1.0, max_messages_per_s=100_000, max_refusals_per_s=100_000)
     with watch(server) as log:
@@ -215,7 +215,7 @@ def _flood(plain: socket.socket) -> None:
     raise AssertionError("the server let it go on")
 
 
-async def test_fair_between_neighbours(own_server: Serve, clip: Clip) -> None:
+async def test_a_greedy_session_leaves_its_neighbour_its_share(own_server: Serve, clip: Clip) -> None:
     """Of two sessions in one lane one sends all it can; the other is answered within its own share."""
     server = own_server()
     async with AsyncClient(server.url) as client:
@@ -252,7 +252,7 @@ async def test_fair_between_neighbours(own_server: Serve, clip: Clip) -> None:
             assert sorted(between)[len(between) // 2] <= 3
 
 
-async def test_absolute_time(own_server: Serve, clip: Clip) -> None:
+async def test_a_session_ends_after_its_absolute_time(own_server: Serve, clip: Clip) -> None:
     server = own_server(max_session_s=1.5)
     async with AsyncClient(server.url) as client:
         session = await client.create(clip.frames[0], clip.box)

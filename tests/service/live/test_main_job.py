@@ -71,7 +71,7 @@ async def test_boxes_are_those_of_the_library(
             assert [r.target.box for r in past[1:]] == [r.target.box for r in results]
 
 
-async def test_several_targets_over_http(client: AsyncClient, clip: Clip) -> None:
+async def test_several_targets_over_http_have_the_boxes_of_the_library(client: AsyncClient, clip: Clip) -> None:
     x, y, w, h = clip.box
     boxes = [clip.box, (x + w / 2, y, w, h), (x, y + h / 3, w / 2, h / 2)]
     async with await client.create(clip.frames[0], boxes=boxes) as session:
@@ -83,7 +83,7 @@ async def test_several_targets_over_http(client: AsyncClient, clip: Clip) -> Non
                 assert_same(target, one)
 
 
-def test_sync_client(server: OwnServer, clip: Clip) -> None:
+def test_the_client_without_asyncio_gives_the_boxes_of_the_library(server: OwnServer, clip: Clip) -> None:
     with Client(server.url) as client, client.create(clip.frames[0], clip.box) as session:
         assert session.id in [info.id for info in client.sessions()]
         assert client.session(session.id).info.seq == 0
@@ -115,7 +115,9 @@ def test_sync_client(server: OwnServer, clip: Clip) -> None:
             assert restored.track(clip.frames[32]).target == session.track(clip.frames[32]).target
 
 
-async def test_bare_websocket(server: OwnServer, client: AsyncClient, clip: Clip) -> None:
+async def test_a_bare_websocket_speaks_json_without_our_client(
+    server: OwnServer, client: AsyncClient, clip: Clip
+) -> None:
     """The protocol as it stands, with nothing of our client: JSON when no subprotocol is named."""
     async with await client.create(clip.frames[0], clip.box) as session:
         url = f"ws{server.url[4:]}/v1/sessions/{session.id}/stream?mode=lossless"

@@ -86,7 +86,9 @@ def boxes_of(clip: Clip) -> dict[str, list[Box]]:
 @pytest.mark.parametrize(
     "place", ["one", "several", "corners", "half outside", "as large as the frame", "tiny", "a stripe"]
 )
-async def test_bit_equal(server: OwnServer, client: AsyncClient, clip: Clip, place: str) -> None:
+async def test_cuts_give_the_results_of_whole_frames_bit_for_bit(
+    server: OwnServer, client: AsyncClient, clip: Clip, place: str
+) -> None:
     images = images_of(clip)[:25]
     with watch(server):
         sessions = await pair(client, images[0], boxes_of(clip)[place])
@@ -94,7 +96,7 @@ async def test_bit_equal(server: OwnServer, client: AsyncClient, clip: Clip, pla
         assert len(results) == 24
 
 
-async def test_one_frame_in_flight(client: AsyncClient, clip: Clip) -> None:
+async def test_a_region_leaves_room_for_one_frame_in_flight(client: AsyncClient, clip: Clip) -> None:
     """The region leaves room for a frame that is not answered yet (``region_lag`` is 1)."""
     images = images_of(clip)
     results = await follow(images[1:], *await pair(client, images[0], [clip.box]), lag=1)
@@ -112,7 +114,7 @@ async def test_what_is_outside_does_not_matter(client: AsyncClient, clip: Clip) 
         region = got.region
 
 
-async def test_cuts_and_whole_frames_mixed(client: AsyncClient, clip: Clip) -> None:
+async def test_cuts_and_whole_frames_may_be_mixed(client: AsyncClient, clip: Clip) -> None:
     images = images_of(clip)[:25]
     by_whole, mixed = await pair(client, images[0], [clip.box])
     region = mixed.info.region
@@ -123,7 +125,7 @@ async def test_cuts_and_whole_frames_mixed(client: AsyncClient, clip: Clip) -> N
         region = got.region
 
 
-async def test_after_a_correction(client: AsyncClient, clip: Clip) -> None:
+async def test_the_region_follows_a_correction_at_once(client: AsyncClient, clip: Clip) -> None:
     """On a cut that shows what the new box needs; the region follows it at once."""
     images = images_of(clip)[:25]
     sessions = await pair(client, images[0], [clip.box])
@@ -136,7 +138,7 @@ async def test_after_a_correction(client: AsyncClient, clip: Clip) -> None:
     await follow(images[10:], *sessions)
 
 
-async def test_a_box_that_the_newest_cut_does_not_show(client: AsyncClient) -> None:
+async def test_a_box_that_the_newest_cut_does_not_show_needs_the_whole_frame(client: AsyncClient) -> None:
     """``full-frame-needed``; the next region is the whole frame, and then the box is taken."""
     sequence = synthetic.clip("motion", length=12)
     box = tuple(map(float, sequence.boxes[0]))
@@ -161,7 +163,7 @@ async def test_a_box_that_the_newest_cut_does_not_show(client: AsyncClient) -> N
     assert (await session.add_target(far)).target.box == pytest.approx(far)
 
 
-async def test_through_lost_and_back(server: OwnServer, client: AsyncClient) -> None:
+async def test_the_region_is_the_whole_frame_while_the_target_is_lost(server: OwnServer, client: AsyncClient) -> None:
     """While a target is lost the region is the whole frame; afterwards it is a part again."""
     sequence = synthetic.clip("motion", length=60)
     box: Any = tuple(map(float, sequence.boxes[0]))

@@ -43,7 +43,7 @@ async def guarded(guarded_server: OwnServer) -> AsyncIterator[Wire]:
         yield wire
 
 
-async def test_keys(guarded: Wire, clip: Clip) -> None:
+async def test_calls_need_a_key_and_metrics_the_key_of_the_admin(guarded: Wire, clip: Clip) -> None:
     base = guarded.server.url
     async with httpx2.AsyncClient(base_url=base) as bare:
         for headers in ({}, {"X-API-Key": "wrong"}, {"Authorization": "Bearer"}, {"Authorization": f"Basic {KEY}"}):
@@ -137,7 +137,7 @@ async def test_tickets_admit_once_and_to_their_session_alone(guarded: Wire, clip
     assert first not in guarded.server.log
 
 
-async def test_browsers_without_a_key_or_from_elsewhere(guarded: Wire, clip: Clip) -> None:
+async def test_browsers_without_a_key_or_from_elsewhere_are_refused(guarded: Wire, clip: Clip) -> None:
     sid = (await guarded.create(clip.frames[0], clip.box))["id"]
     evil, friend = {"Origin": "https://evil.example"}, {"Origin": "https://app.example"}
     async with guarded.stream(sid, headers=evil) as stream:
@@ -162,7 +162,7 @@ async def test_browsers_without_a_key_or_from_elsewhere(guarded: Wire, clip: Cli
     assert (await guarded.http.options("/v1/sessions", headers=evil | asked)).status_code == 403
 
 
-async def test_too_many_calls(serve: Serve) -> None:
+async def test_calls_above_the_rate_are_refused_with_a_time_to_wait(serve: Serve) -> None:
     wire = serve(max_requests_per_s=5)
     answers = [await wire.http.get("/v1/sessions") for _ in range(10)]
     refused = [a for a in answers if a.status_code == 429]

@@ -72,7 +72,7 @@ def outcomes(tmp_path_factory: pytest.TempPathFactory, server: OwnServer) -> dic
 
 
 @pytest.mark.parametrize("attempt", ATTEMPTS)
-def test_a_confined_process_cannot(outcomes: dict[str, object], attempt: str) -> None:
+def test_a_confined_process_is_refused_what_it_does_not_need(outcomes: dict[str, object], attempt: str) -> None:
     confined = outcomes["confined"]
     assert isinstance(confined, list)
     needed = NEEDED.get(attempt, [f"landlock-{version}" for version in range(6, 100)])

@@ -125,7 +125,7 @@ async def test_frames_over_http_give_the_boxes_of_the_library(wire: Wire, clip: 
             assert (answer["status"], answer["psr"], answer["scale"]) == (said.status, said.psr, said.scale)
 
 
-async def test_bad_frames_over_http(wire: Wire, clip: Clip) -> None:
+async def test_bad_frames_over_http_are_refused_with_their_code(wire: Wire, clip: Clip) -> None:
     session = await wire.create(clip.frames[0], clip.box)
     sid = session["id"]
     other = (await asyncio.to_thread(_resized, clip.frames[1]), clip.frames[1])
@@ -168,7 +168,7 @@ async def test_another_size_starts_the_targets_anew_where_asked(wire: Wire, clip
     assert again["targets"][0]["flags"] is not None
 
 
-async def test_targets_come_and_go(wire: Wire, clip: Clip) -> None:
+async def test_targets_are_added_corrected_and_removed(wire: Wire, clip: Clip) -> None:
     session = await wire.create(clip.frames[0], clip.box)
     path = f"/v1/sessions/{session['id']}/targets"
     box = list(clip.box)
@@ -245,7 +245,7 @@ async def test_sessions_are_listed_in_pages_and_end_for_good(wire: Wire, clip: C
     assert problem(await wire.http.get("/v1/sessions", params={"limit": 0})) == (400, "bad-request")
 
 
-async def test_what_is_no_call(wire: Wire) -> None:
+async def test_what_is_no_call_is_a_problem(wire: Wire) -> None:
     assert problem(await wire.http.get("/v1/nothing")) == (404, "not-found")
     refused = await wire.http.patch("/v1/sessions")
     assert problem(refused) == (405, "method-not-allowed")
@@ -259,7 +259,7 @@ async def test_what_is_no_call(wire: Wire) -> None:
     assert replaced.headers["X-Request-ID"] != "a b<c>"
 
 
-async def test_capabilities_and_health(wire: Wire) -> None:
+async def test_capabilities_and_health_are_answered(wire: Wire) -> None:
     answer = (await wire.http.get("/v1/capabilities")).json()
     assert (answer["protocol"], answer["presets"]) == (1, ["default", "paper"])
     assert answer["image_types"] == ["image/jpeg", "image/png", "image/webp"]

@@ -18,7 +18,7 @@ from .conftest import Serve, Wire, problem
 SNAPSHOT = "application/vnd.mfcmt.snapshot"
 
 
-async def test_the_past_in_four_formats(wire: Wire, clip: Clip) -> None:
+async def test_the_trajectory_is_given_in_four_formats(wire: Wire, clip: Clip) -> None:
     session = await wire.create(clip.frames[0], clip.box)
     path = f"/v1/sessions/{session['id']}"
     results = [(await wire.track(session["id"], f, ts=f"t,{n}")).json() for n, f in enumerate(clip.frames[1:40])]

@@ -49,7 +49,7 @@ async def until(happened: Callable[[], bool]) -> None:
         await asyncio.sleep(0.02)
 
 
-async def test_a_hundred_at_once_on_ten_places(serve: Serve, clip: Clip) -> None:
+async def test_a_hundred_at_once_fill_ten_places_and_no_more(serve: Serve, clip: Clip) -> None:
     wire = serve(lanes=2, max_sessions_per_lane=5)
     limits = httpx2.Limits(max_connections=100)
     async with httpx2.AsyncClient(base_url=wire.server.url, timeout=60, limits=limits) as http:
@@ -246,7 +246,7 @@ async def test_an_idle_session_is_restored_with_all_its_targets(serve: Serve, cl
     assert again == undisturbed
 
 
-async def test_a_lane_is_killed_in_the_middle_of_frames(serve: Serve, clip: Clip) -> None:
+async def test_a_lane_killed_in_the_middle_of_frames_changes_no_box(serve: Serve, clip: Clip) -> None:
     wire = serve(lanes=1, checkpoint_every_frames=3)
     said = in_process(clip, [clip.box])
     for _ in range(3):

@@ -38,7 +38,7 @@ async def refused(wire: Wire, sid: str) -> tuple[int, str]:
     return response.status_code, json.loads(response.body or b"")["code"]
 
 
-async def test_sessions_of_a_key(serve: Serve, clip: Clip) -> None:
+async def test_sessions_of_a_key_have_a_limit_of_their_own(serve: Serve, clip: Clip) -> None:
     """Also when they are made at once; the other key's are its own."""
     first, second = two_keys(serve, max_sessions_per_key=3, max_sessions_per_lane=8)
     made = await asyncio.gather(*(first.post(clip.frames[0], clip.box) for _ in range(8)))
@@ -54,7 +54,7 @@ async def test_sessions_of_a_key(serve: Serve, clip: Clip) -> None:
     await first.create(clip.frames[0], clip.box)
 
 
-async def test_streams_of_a_key_and_of_all(serve: Serve, clip: Clip) -> None:
+async def test_streams_of_a_key_and_of_all_have_limits(serve: Serve, clip: Clip) -> None:
     first, second = two_keys(serve, max_streams_per_key=1, max_streams=2)
     mine = [(await first.create(clip.frames[0], clip.box))["id"] for _ in range(2)]
     theirs = [(await second.create(clip.frames[0], clip.box))["id"] for _ in range(2)]
@@ -70,14 +70,14 @@ async def test_streams_of_a_key_and_of_all(serve: Serve, clip: Clip) -> None:
         await stream.hear("result")
 
 
-async def test_streams_of_all_keys(serve: Serve, clip: Clip) -> None:
+async def test_streams_of_all_keys_have_a_limit_together(serve: Serve, clip: Clip) -> None:
     first, second = two_keys(serve, max_streams=1)
     mine, theirs = (await first.create(clip.frames[0], clip.box))["id"], (await second.create(clip.frames[0], clip.box))
     async with first.stream(mine):
         assert await refused(second, theirs["id"]) == (503, "at-capacity")
 
 
-async def test_frames_and_bytes_of_a_key(serve: Serve, clip: Clip) -> None:
+async def test_frames_and_bytes_of_a_key_have_a_rate_of_their_own(serve: Serve, clip: Clip) -> None:
     """In a stream and over HTTP; what is refused changes nothing, and the other key does not feel it."""
     size = len(clip.frames[1])
     first, second = two_keys(
@@ -104,7 +104,7 @@ async def test_frames_and_bytes_of_a_key(serve: Serve, clip: Clip) -> None:
     assert (await first.http.get(f"/v1/sessions/{mine}")).json()["seq"] >= answered
 
 
-async def test_frames_of_all_keys(serve: Serve, clip: Clip) -> None:
+async def test_frames_of_all_keys_have_a_rate_together(serve: Serve, clip: Clip) -> None:
     """Many refusals in a row end the stream."""
     wire = serve(max_frames_per_s=2, max_refused_messages=5)
     sid = (await wire.create(clip.frames[0], clip.box))["id"]

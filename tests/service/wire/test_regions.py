@@ -89,7 +89,7 @@ async def test_cuts_give_what_whole_frames_give(wire: Wire, clip: Clip, images: 
             assert np.mean(twins.saved) < 1
 
 
-async def test_at_the_border(wire: Wire, clip: Clip, images: list[Image]) -> None:
+async def test_cuts_at_the_border_give_what_whole_frames_give(wire: Wire, clip: Clip, images: list[Image]) -> None:
     width, height = clip.size
     boxes = [(-10, -10, 40, 40), (width - 25, height - 30, 40, 40)]
     one, two = await both(wire, images, *boxes)
@@ -102,7 +102,9 @@ async def test_at_the_border(wire: Wire, clip: Clip, images: list[Image]) -> Non
             await twins.track(image)
 
 
-async def test_through_lost_and_back(wire: Wire, clip: Clip, images: list[Image]) -> None:
+async def test_cuts_give_the_same_while_the_target_is_lost_and_back(
+    wire: Wire, clip: Clip, images: list[Image]
+) -> None:
     require(clip.name == "David", "the rendered clip does not lose its target")
     noise = np.random.default_rng(1).integers(0, 255, images[0].shape, dtype=np.uint8)
     one, two = await both(wire, images, clip.box)

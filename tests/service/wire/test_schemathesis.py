@@ -99,7 +99,7 @@ def target(clip: Clip) -> Iterator[Target]:
 
 @document.parametrize()
 @settings(max_examples=50, suppress_health_check=list(HealthCheck))
-def test_every_call(case: Any, target: Target) -> None:
+def test_every_call_answers_as_its_schema_says(case: Any, target: Target) -> None:
     if "session_id" in (case.path_parameters or {}) and case.method != "DELETE":
         case.path_parameters["session_id"] = target.session
     # That this format needs a target is not for a schema to say.

@@ -205,7 +205,7 @@ TOO_LARGE = [
 ]
 
 
-async def test_a_body_above_its_limit(serve: Serve) -> None:
+async def test_a_body_above_its_limit_is_refused_with_a_problem(serve: Serve) -> None:
     """Whether its length is told before or not: the same problem."""
     wire = serve(max_frame_bytes=1_000_000, max_snapshot_bytes=1_000_000)
 

@@ -284,7 +284,7 @@ async def test_http_acts_between_frames_and_the_stream_is_told(wire: Wire, clip:
     assert (await wire.http.get(path)).json()["reason"] == "closed"
 
 
-async def test_messages_above_the_limits(serve: Serve, clip: Clip) -> None:
+async def test_a_message_above_the_limit_is_refused_and_above_twice_that_closes(serve: Serve, clip: Clip) -> None:
     wire = serve(max_frame_bytes=100_000)
     session = await wire.create(clip.frames[0], clip.box)
     async with wire.stream(session["id"], mode="lossless") as stream:
@@ -296,7 +296,7 @@ async def test_messages_above_the_limits(serve: Serve, clip: Clip) -> None:
         assert await stream.closed() == 1009
 
 
-async def test_too_many_messages(serve: Serve, clip: Clip) -> None:
+async def test_too_many_messages_close_the_stream_with_4429(serve: Serve, clip: Clip) -> None:
     wire = serve(max_messages_per_s=20, max_refused_messages=30)
     session = await wire.create(clip.frames[0], clip.box)
     async with wire.stream(session["id"]) as stream:
@@ -320,7 +320,7 @@ async def test_idle_streams_end_with_4408_and_sessions_without_stream_are_gone(s
         assert (response.status_code, response.json()["reason"]) == (410, "idle")
 
 
-async def test_refused_handshakes(wire: Wire, clip: Clip) -> None:
+async def test_a_refused_handshake_is_answered_with_a_problem(wire: Wire, clip: Clip) -> None:
     session = await wire.create(clip.frames[0], clip.box)
     for sid, query, status, code in (
         ("unknown", {}, 404, "session-not-found"),
