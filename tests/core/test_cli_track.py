@@ -179,7 +179,7 @@ def test_preset_and_config_reach_the_tracker(folder, box, clip, tmp_path):
         (("{}", "--box", "9000,9000,20,20"), "in the frame of 320x240; a box is x, y, w, h"),
         (("{}", "--box", "280,200,310,230"), "as corners x1, y1, x2, y2: then w is x2 - x1"),
         (("{}", "--box", "0.4,0.33,0.2,0.32"), "less than a pixel; a box is x, y, w, h in pixels and not shares"),
-        (("{}",), "--box --boxes --select"),
+        (("{}",), "--box --boxes --keyframes --select"),
         (("{}", "--box", "1,2,3,4", "--select"), "not allowed with"),
         (("{}", "--box", "1,2,3,4", "--format", "xml"), "xml"),
         (("{}", "--box", "1,2,3,4", "--video", "x.gif"), "no codec for x.gif"),

@@ -46,7 +46,8 @@ class Cable:
     def cut(self) -> None:
         """Reset all connections."""
         for writer in self._open:
-            writer.transport.abort()
+            if not writer.transport.is_closing():
+                writer.transport.abort()
         self._open.clear()
 
     def go_dead(self) -> None:

@@ -17,7 +17,7 @@ from service.load.own import OwnServer
 from service.load.usage import server_processes
 from tests.tools.siege.traffic import BINARY, MIB, PING, TEXT, UNFINISHED, frame, padded
 
-from .conftest import Serve, Wire, under_way_bytes
+from .conftest import Serve, Wire, reset, under_way_bytes
 
 PATIENCE_S = 30.0
 PONG = b"\x8a\x00"
@@ -195,7 +195,7 @@ async def test_answers_that_nobody_reads_have_a_bound(serve: Serve, clip: Clip) 
     assert codes[0] == b"200"
     assert b"503" in codes
     for _, writer in deaf:
-        writer.transport.abort()
+        reset(writer)
     async with asyncio.timeout(PATIENCE_S):
         while (response := await wire.http.get(f"/v1/sessions/{sid}/snapshot")).status_code != 200:
             assert response.json()["code"] == "at-capacity"
@@ -215,7 +215,7 @@ async def test_messages_that_are_not_finished_have_a_bound_together(serve: Serve
     assert (await wire.http.get("/livez")).status_code == 200
     assert "too many bytes under way" in wire.server.log
     for _, writer in streams:
-        writer.transport.abort()
+        reset(writer)
     async with asyncio.timeout(PATIENCE_S):
         while await under_way_bytes(wire):
             await asyncio.sleep(0.05)

@@ -19,7 +19,7 @@ from service.load.clips import Clip
 from service.load.own import OwnServer
 from tests.tools.siege.traffic import MIB
 
-from .conftest import Serve, Wire, under_way_bytes
+from .conftest import Serve, Wire, reset, under_way_bytes
 
 HOST = b"Host: localhost\r\n"
 # Ample on a busy machine, and far below what an unbounded wait would be.
@@ -187,7 +187,7 @@ async def test_an_upload_that_is_broken_off_leaves_no_trace(serve: Serve) -> Non
         for _ in range(3):
             _, writer = await dial(wire, head + rest)
             await writer.drain()
-            writer.transport.abort()
+            reset(writer)
     async with asyncio.timeout(PATIENCE_S):
         while wire.server.log.count('"path": "/v1/sessions"') < 6:
             await asyncio.sleep(0.05)
@@ -236,7 +236,7 @@ async def test_bodies_that_are_being_received_have_a_bound_together(serve: Serve
     assert response.json()["code"] == "at-capacity"
     assert int(response.headers["Retry-After"]) >= 1
     for _, writer in slow:
-        writer.transport.abort()
+        reset(writer)
     async with asyncio.timeout(PATIENCE_S):
         while (await wire.post(clip.frames[0] + bytes(900_000), clip.box)).status_code != 201:
             await asyncio.sleep(0.05)
@@ -267,7 +267,7 @@ async def test_who_is_refused_while_sending_is_told_so(serve: Serve, clip: Clip)
             assert received.startswith(b"HTTP/1.1 503"), received
             assert b"at-capacity" in received
             pair[1].close()
-    fills[1].transport.abort()
+    reset(fills[1])
 
 
 async def test_nothing_is_inflated(serve: Serve, clip: Clip) -> None:

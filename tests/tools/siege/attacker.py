@@ -50,7 +50,7 @@ class Attacker:
             except (OSError, asyncio.IncompleteReadError):
                 self.answers["cut"] += 1
             finally:
-                if writer is not None:
+                if writer is not None and not writer.transport.is_closing():
                     writer.transport.abort()
             if not self._attack.again:
                 await asyncio.Event().wait()
