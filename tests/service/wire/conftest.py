@@ -112,13 +112,13 @@ class Wire:
             yield stream
 
 
-async def reset(writer: asyncio.StreamWriter) -> None:
+def reset(writer: asyncio.StreamWriter) -> None:
     """End a connection at once, unless the service has ended it already."""
     if not writer.transport.is_closing():
         writer.transport.abort()
 
 
-def under_way_bytes(wire: Wire) -> float:
+async def under_way_bytes(wire: Wire) -> float:
     """Return how many bytes the service counts as under way."""
     text = (await wire.http.get("/metrics")).text
     return next(float(line.split()[1]) for line in text.splitlines() if line.startswith("mfcmt_under_way_bytes "))
