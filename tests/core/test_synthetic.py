@@ -53,12 +53,12 @@ def test_frames_follow_from_the_seed_in_any_order():
 @given(st.floats(-12, 60), st.floats(-12, 45), st.floats(8, 40), st.floats(8, 40), st.floats(1, 5))
 def test_blend_fills_the_box_to_a_fraction_of_a_pixel(x, y, w, h, detail):
     """A white sprite on black has the box's area as its mass and the box's middle as its centroid."""
-    frame = np.zeros((128, 128, 3), np.float32)
+    frame = np.zeros((144, 144, 3), np.float32)
     offset = np.array([30.0, 30.0])
     white = np.ones((int(h * detail), int(w * detail), 4), np.float32)
     paint.blend(frame, white, (x + offset[0], y + offset[1], w, h))
     mass = frame[..., 0]
-    rows, cols = np.mgrid[0:128, 0:128]
+    rows, cols = np.mgrid[0:144, 0:144]
     assert mass.sum() == pytest.approx(w * h, rel=0.01)
     assert (mass * (cols + 0.5)).sum() / mass.sum() == pytest.approx(x + offset[0] + w / 2, abs=0.05)
     assert (mass * (rows + 0.5)).sum() / mass.sum() == pytest.approx(y + offset[1] + h / 2, abs=0.05)
