@@ -16,6 +16,12 @@ def clip() -> synthetic.Clip:
 
 
 @pytest.fixture(scope="session")
+def box(clip) -> str:
+    """Return the target's box in the first frame of :func:`clip`, as the command line takes it."""
+    return ",".join(map(str, clip.boxes[0]))
+
+
+@pytest.fixture(scope="session")
 def frames(clip) -> list[np.ndarray]:
     """Return the first 40 frames of :func:`clip`."""
     return clip.frames[:40]

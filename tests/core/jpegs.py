@@ -155,13 +155,56 @@ def standard_tables():
     return raw, codes
 
 
+QUANTUM = 4
+"""By which every coefficient is divided."""
+
+
+def code_block(bits, codes, coefficients, kind, before):
+    """Add a block of coefficients to ``bits``, by the tables of ``kind``. Return its DC value, the next ``before``."""
+    values = [round(float(coefficients.flat[i]) / QUANTUM) for i in ZIGZAG]
+    dc, zeros = values[0], 0
+    for index, value in enumerate([dc - before, *values[1:]]):
+        if index and value == 0:
+            zeros += 1
+            continue
+        while zeros > 15:
+            bits.add(*codes[1, kind, 0xF0])
+            zeros -= 16
+        size = abs(value).bit_length()
+        bits.add(*codes[int(index > 0), kind, zeros << 4 | size])
+        bits.add(value if value > 0 else value + (1 << size) - 1, size)
+        zeros = 0
+    if zeros:
+        bits.add(*codes[1, kind, 0])
+    return dc
+
+
+def units(scan, factors, size):
+    """Yield the blocks of each unit of a scan as ``(component, row, column)``; ``size`` is (width, height)."""
+    most_across, most_down = (max(sides) for sides in zip(*factors, strict=True))
+    if len(factors) > 1 and len(scan) > 1:
+        columns, rows = parts(size[0], 8 * most_across), parts(size[1], 8 * most_down)
+        for y in range(rows):
+            for x in range(columns):
+                yield [
+                    (c, y * factors[c][1] + j, x * factors[c][0] + i)
+                    for c in scan
+                    for j in range(factors[c][1])
+                    for i in range(factors[c][0])
+                ]
+        return
+    c = scan[0]
+    h, v = factors[c] if len(factors) > 1 else (most_across, most_down)
+    across, down = parts(parts(size[0] * h, most_across), 8), parts(parts(size[1] * v, most_down), 8)
+    yield from ([(c, y, x)] for y in range(down) for x in range(across))
+
+
 def written(image, factors, *, interleaved=True, restart=0):
     """Return a baseline JPEG of a gray or BGR image. ``factors`` has the sampling (across, down) per component."""
     planes = [image] if image.ndim == 2 else [cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb)[..., c] for c in (0, 2, 1)]
     height, width = image.shape[:2]
     most_across, most_down = max(h for h, _ in factors), max(v for _, v in factors)
     raw, codes = standard_tables()
-    quantum = 4
     columns, rows = parts(width, 8 * most_across), parts(height, 8 * most_down)
     blocks = []
     for plane, (h, v) in zip(planes, factors, strict=True):
@@ -175,46 +218,8 @@ def written(image, factors, *, interleaved=True, restart=0):
             ]
         )
 
-    def code_block(bits, coefficients, kind, before):
-        values = [round(float(coefficients.flat[i]) / quantum) for i in ZIGZAG]
-        dc, zeros = values[0], 0
-        for index, value in enumerate([dc - before, *values[1:]]):
-            if index and value == 0:
-                zeros += 1
-                continue
-            while zeros > 15:
-                bits.add(*codes[1, kind, 0xF0])
-                zeros -= 16
-            size = abs(value).bit_length()
-            bits.add(*codes[int(index > 0), kind, zeros << 4 | size])
-            bits.add(value if value > 0 else value + (1 << size) - 1, size)
-            zeros = 0
-        if zeros:
-            bits.add(*codes[1, kind, 0])
-        return dc
-
-    def units(scan):
-        if len(scan) > 1 or len(planes) == 1:
-            if len(planes) == 1:
-                across, down = parts(width, 8), parts(height, 8)
-                yield from ([(0, y, x)] for y in range(down) for x in range(across))
-                return
-            for y in range(rows):
-                for x in range(columns):
-                    yield [
-                        (c, y * factors[c][1] + j, x * factors[c][0] + i)
-                        for c in scan
-                        for j in range(factors[c][1])
-                        for i in range(factors[c][0])
-                    ]
-        else:
-            c = scan[0]
-            across = parts(parts(width * factors[c][0], most_across), 8)
-            down = parts(parts(height * factors[c][1], most_down), 8)
-            yield from ([(c, y, x)] for y in range(down) for x in range(across))
-
     out = b"\xff\xd8" + segment(0xE0, b"JFIF\0\x01\x01\0\0\x01\0\x01\0\0")
-    out += segment(0xDB, b"\0" + bytes([quantum]) * 64)
+    out += segment(0xDB, b"\0" + bytes([QUANTUM]) * 64)
     frame = b"".join(bytes([c + 1, h << 4 | v, 0]) for c, (h, v) in enumerate(factors))
     out += segment(0xC0, struct.pack(">BHHB", 8, height, width, len(planes)) + frame) + raw
     if restart:
@@ -225,11 +230,11 @@ def written(image, factors, *, interleaved=True, restart=0):
             0xDA, bytes([len(scan)]) + b"".join(bytes([c + 1, 0x11 if c else 0]) for c in scan) + b"\0\x3f\0"
         )
         bits, before, number = Bits(), dict.fromkeys(scan, 0), 0
-        for index, unit in enumerate(units(scan)):
+        for index, unit in enumerate(units(scan, factors, (width, height))):
             if restart and index and index % restart == 0:
                 out += bits.bytes() + bytes([0xFF, 0xD0 + number % 8])
                 bits, before, number = Bits(), dict.fromkeys(scan, 0), number + 1
             for c, y, x in unit:
-                before[c] = code_block(bits, blocks[c][y][x], min(c, 1), before[c])
+                before[c] = code_block(bits, codes, blocks[c][y][x], min(c, 1), before[c])
         out += bits.bytes()
     return out + b"\xff\xd9"

@@ -39,16 +39,6 @@ def one_based(results: list[TrackResult]) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def clip() -> synthetic.Clip:
-    return synthetic.clip("motion", target=(56, 44))
-
-
-@pytest.fixture(scope="module")
-def box(clip) -> str:
-    return ",".join(map(str, clip.boxes[0]))
-
-
-@pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     """Write a folder like OTB's, with images in ``img`` whose names have no leading zeros."""
     path = tmp_path_factory.mktemp("clip") / "Clip"

@@ -19,7 +19,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from mfcmt_core import MFCMT, synthetic
+from mfcmt_core import MFCMT
 from mfcmt_core.video import live
 from tests.commands import run_command
 from tests.examples import rtsp
@@ -28,11 +28,6 @@ SCRIPT = Path(sys.executable).with_name("mfcmt")
 HEAD = b"HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=b\r\n\r\n"
 
 Serve = Callable[[socket.socket, int], None]
-
-
-@pytest.fixture(scope="module")
-def clip() -> synthetic.Clip:
-    return synthetic.clip("motion", target=(56, 44))
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from mfcmt_core import MFCMT, synthetic
+from mfcmt_core import MFCMT
 from mfcmt_core.cli import UsageError
 from mfcmt_core.cli.box_files import read_boxes
 from mfcmt_core.video.write import VideoWriter
@@ -21,11 +21,6 @@ from tests.commands import run_command
 
 SCRIPT = Path(sys.executable).with_name("mfcmt")
 LENGTH = 10
-
-
-@pytest.fixture(scope="module")
-def clip() -> synthetic.Clip:
-    return synthetic.clip("motion", target=(56, 44))
 
 
 @pytest.fixture(scope="module")

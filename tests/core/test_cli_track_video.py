@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mfcmt_core import synthetic
 from mfcmt_core.video import VideoReader
 from mfcmt_core.video.write import VideoWriter
 from tests.commands import run_command
@@ -24,16 +23,6 @@ from tests.core.video.films import ffmpeg
 
 SCRIPT = Path(sys.executable).with_name("mfcmt")
 LENGTH = 12
-
-
-@pytest.fixture(scope="module")
-def clip() -> synthetic.Clip:
-    return synthetic.clip("motion", target=(56, 44))
-
-
-@pytest.fixture(scope="module")
-def box(clip) -> str:
-    return ",".join(map(str, clip.boxes[0]))
 
 
 @pytest.fixture(scope="module")
