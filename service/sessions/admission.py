@@ -87,8 +87,8 @@ class Admission:
             retry_after_s = self._settings.drain_grace_s
             raise self._refusal(ProblemCode.DRAINING, "the service is going away", retry_after_s)
         self._check_quota(owner)
-        if self._store.budget.spent:
-            raise self._refusal(ProblemCode.AT_CAPACITY, "no memory for another session")
+        if self._store.budget.spent(owner):
+            raise self._refusal(ProblemCode.AT_CAPACITY, "no memory for another session of this key")
         try:
             self._lanes.reserve(sid, owner)
         except AtCapacity:

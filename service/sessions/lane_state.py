@@ -62,7 +62,7 @@ class LaneState:
         settings: Settings,
         metrics: Metrics,
     ) -> None:
-        self.replay_log = ReplayLog(budget)
+        self.replay_log = ReplayLog(budget, owner)
         self._restore_slots = restore_slots
         self._key, self._owner, self._lanes, self._budget = key, owner, lanes, budget
         self._settings, self._metrics = settings, metrics
@@ -80,7 +80,7 @@ class LaneState:
             return "frames"
         if 2 * self.replay_log.bytes >= self._settings.max_replay_bytes:
             return "bytes"
-        return "budget" if self.replay_log.operations and self._budget.spent else None
+        return "budget" if self.replay_log.operations and self._budget.spent(self._owner) else None
 
     @property
     def has_lane(self) -> bool:

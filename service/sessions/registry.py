@@ -69,7 +69,7 @@ class SessionRegistry:
         owners: Callable[[], int] = lambda: 1,
     ) -> None:
         self.quotas = KeyQuotas(settings, owners)
-        self.store = SessionStore(settings, lanes, metrics)
+        self.store = SessionStore(settings, lanes, metrics, owners)
         self._settings, self._lanes, self._metrics, self._clock = settings, lanes, metrics, clock
         self._sessions: dict[str, Session] = {}
         self._admission = Admission(settings, lanes, metrics, self.quotas, self.store, self._sessions, self.sweep)

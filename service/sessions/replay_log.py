@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,26 +33,39 @@ class Operation:
 
 
 class RecoveryBudget:
-    """Counts the bytes of all replay logs: of their checkpoints, and of the frames since."""
+    """Counts the bytes of all replay logs: of their ``checkpoints``, and of the ``frames`` since.
 
-    def __init__(self, limit: int) -> None:
-        self.limit = limit
+    A single owner may fill the limit. Each of several may hold as much as it leaves free, so that the large frames of
+    one do not keep the others from sessions. ``owners`` returns their number now.
+    """
+
+    def __init__(self, limit: int, owners: Callable[[], int] = lambda: 1) -> None:
+        self.limit, self._owners = limit, owners
         self.checkpoints = self.frames = 0
+        self._held_by: Counter[str] = Counter()
 
-    @property
-    def spent(self) -> bool:
-        """Whether the limit is reached."""
-        return self.checkpoints + self.frames >= self.limit
+    def change(self, owner: str, *, checkpoints: int = 0, frames: int = 0) -> None:
+        """Count so many bytes more of an owner, fewer if negative."""
+        self.checkpoints += checkpoints
+        self.frames += frames
+        self._held_by[owner] += checkpoints + frames
+        if not self._held_by[owner]:
+            del self._held_by[owner]
+
+    def spent(self, owner: str) -> bool:
+        """Return whether the limit is reached, or the share of this owner."""
+        free = self.limit - self.checkpoints - self.frames
+        return free <= (self._held_by[owner] if self._owners() > 1 else 0)
 
 
 class ReplayLog:
     """``checkpoint`` makes the session by itself as it was then; ``operations`` have changed it since."""
 
-    def __init__(self, budget: RecoveryBudget) -> None:
+    def __init__(self, budget: RecoveryBudget, owner: str) -> None:
         self.checkpoint: Operation | None = None
         self.operations: list[Operation] = []
         self.bytes = 0
-        self._budget = budget
+        self._budget, self._owner = budget, owner
         self._closed = False
 
     def append(self, operation: Operation) -> None:
@@ -63,7 +77,7 @@ class ReplayLog:
             return
         self.operations.append(operation)
         self.bytes += operation.bytes
-        self._budget.frames += operation.bytes
+        self._budget.change(self._owner, frames=operation.bytes)
 
     def reset_to(self, checkpoint: Operation) -> None:
         """Replace the whole log by ``checkpoint``, which makes the session as it is now."""
@@ -71,7 +85,7 @@ class ReplayLog:
             return
         self._clear()
         self.checkpoint = checkpoint
-        self._budget.checkpoints += checkpoint.bytes
+        self._budget.change(self._owner, checkpoints=checkpoint.bytes)
 
     def close(self) -> None:
         """Empty the log, and keep nothing from now on."""
@@ -79,7 +93,6 @@ class ReplayLog:
         self._closed = True
 
     def _clear(self) -> None:
-        if self.checkpoint is not None:
-            self._budget.checkpoints -= self.checkpoint.bytes
-        self._budget.frames -= self.bytes
+        kept = self.checkpoint.bytes if self.checkpoint else 0
+        self._budget.change(self._owner, checkpoints=-kept, frames=-self.bytes)
         self.checkpoint, self.operations, self.bytes = None, [], 0

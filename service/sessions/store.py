@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
@@ -75,8 +75,8 @@ class SessionRecord:
 class SessionStore:
     """Keeps replay logs in memory, within one budget, and saves sessions to the state directory, if one is set."""
 
-    def __init__(self, settings: Settings, lanes: Lanes, metrics: Metrics) -> None:
-        self.budget = RecoveryBudget(settings.max_recovery_bytes)
+    def __init__(self, settings: Settings, lanes: Lanes, metrics: Metrics, owners: Callable[[], int]) -> None:
+        self.budget = RecoveryBudget(settings.max_recovery_bytes, owners)
         self._settings, self._lanes, self._metrics = settings, lanes, metrics
         self._restore_slots = RestoreSlots()
         self._database = SqliteStore(Path(settings.state_dir), metrics) if settings.state_dir else None

@@ -148,6 +148,19 @@ async def test_global_recovery_limit_refuses_new_sessions() -> None:
     assert (budget.checkpoints, budget.frames) == (0, 0)
 
 
+def test_one_of_several_owners_cannot_fill_the_recovery_memory() -> None:
+    budget = RecoveryBudget(100 * KIB, lambda: 2)
+    ReplayLog(budget, "greedy").append(Operation("create", {}, bytes(60 * KIB)))
+    assert budget.spent("greedy")
+    assert not budget.spent("other")
+
+
+def test_a_single_owner_can_use_all_of_the_recovery_memory() -> None:
+    budget = RecoveryBudget(100 * KIB)
+    ReplayLog(budget, "me").append(Operation("create", {}, bytes(60 * KIB)))
+    assert not budget.spent("me")
+
+
 async def test_frame_that_kills_two_workers_ends_session() -> None:
     world = Keeping()
     session, other = await world.create(), await world.create()
@@ -258,10 +271,10 @@ async def test_session_without_lane_refuses_calls_and_stays() -> None:
 
 def test_closed_replay_log_keeps_nothing() -> None:
     budget = RecoveryBudget(10)
-    journal = ReplayLog(budget)
+    journal = ReplayLog(budget, "me")
     journal.append(Operation("create", {}, b"first"))
     journal.append(Operation("track", {"seq": 1}, b"second"))
-    assert budget.spent
+    assert budget.spent("me")
     journal.close()
     journal.append(Operation("track", {"seq": 2}, b"third"))
     assert (budget.checkpoints, budget.frames, journal.checkpoint, journal.operations) == (0, 0, None, [])

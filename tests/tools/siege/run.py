@@ -49,7 +49,11 @@ SETTINGS: dict[str, Any] = {
     "signing_keys": "a-secret-of-the-siege",
     "max_upload_bytes": ROOM_BYTES,
     "max_recovery_bytes": RECOVERY_BYTES,
+    # The besieger's sessions outlive the attacks that do not use them.
+    "idle_timeout_s": 3600.0,
+    "attached_idle_timeout_s": 3600.0,
 }
+GONE = ("session-gone", "session-not-found")
 # Runs in the server before it starts: beside the watch of the loop's lag, it appends a line to a file for every stretch
 # that the loop's thread worked without a timer's turn. A line is the monotonic time and the processor time, in seconds.
 # A timer every 2 ms costs more than a service should pay.
@@ -166,6 +170,8 @@ class Siege:
                 await process.wait()
             outcome.stall_s = max(outcome.stall_s, self._longest_stretch(began))
             outcome.answers.update(json.loads(heard)["answers"])
+        if gone := sum(outcome.answers[code] for code in GONE):
+            outcome.damage.append(f"the attack met sessions that had ended ({gone} answers), so it tried nothing")
         return outcome
 
     async def _stream(self) -> None:
