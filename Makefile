@@ -8,6 +8,7 @@ SERVING := $(VENV)/.serving
 DEVELOPMENT := $(VENV)/.development
 VIDEO := $(VENV)/.video
 PEERS := .venv-peers/.installed
+BRIDGES := .venv-bridges/.installed
 DATA ?= $(or $(MFCMT_OTB_ROOT),../shared/data/otb)
 PUBLISHED ?= $(wildcard $(dir $(DATA:/=))published)
 PROTOCOL ?= ope,tre,sre
@@ -17,7 +18,7 @@ BYTECODE := $(if $(PYTHONDONTWRITEBYTECODE),env -u PYTHONDONTWRITEBYTECODE PYTHO
 PYTEST := $(BYTECODE) $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 LOCK := uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q -U
 
-.PHONY: help setup warmup serve demo test test-fast test-docker fresh lint lock bench peers bench-peers eval reproduce guide clean
+.PHONY: help setup warmup serve demo test test-fast test-docker fresh lint lock bench peers bridges bench-peers eval reproduce guide clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -75,6 +76,13 @@ $(PEERS): .ci/peers.lock pyproject.toml
 
 peers: $(PEERS)  ## an environment of its own with OpenCV's contrib trackers and dlib
 
+$(BRIDGES): .ci/bridges.lock pyproject.toml
+	@sh .ci/venv "$(PYTHON)" .venv-bridges
+	@.venv-bridges/bin/python .ci/install.py .ci/bridges.lock
+	@touch $@
+
+bridges: $(BRIDGES)  ## an environment of its own with the real clients and servers of docs/integrations.md, for tests
+
 bench-peers: $(PEERS)  ## OpenCV's and dlib's trackers on the same frames in the same run
 	.venv-peers/bin/mfcmt warmup
 	.venv-peers/bin/mfcmt bench --peers
@@ -96,7 +104,8 @@ lock:  ## refresh the lock files (needs uv)
 	$(LOCK) pyproject.toml docker/build.in --extra service --extra otel -c requirements-dev.lock -o docker/requirements.lock
 	$(LOCK) .ci/video.in -c requirements-dev.lock -o .ci/video.lock
 	$(LOCK) .ci/peers.in -o .ci/peers.lock
+	$(LOCK) .ci/bridges.in -o .ci/bridges.lock
 
 clean:  ## remove what the targets made
-	rm -rf $(VENV) .venv-peers .mypy_cache .pytest_cache .ruff_cache .hypothesis results
+	rm -rf $(VENV) .venv-peers .venv-bridges .mypy_cache .pytest_cache .ruff_cache .hypothesis results
 	find mfcmt_core service tests -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -31,6 +31,7 @@ from .api import (
 from .api.middleware import RequestMiddleware
 from .api.stream import StreamEndpoint
 from .auth import Authenticator
+from .bridges import BRIDGES
 from .lanes.interface import Lanes
 from .lanes.limits import LaneLimits
 from .lanes.pool import LanePool
@@ -110,6 +111,8 @@ def create_app(
     for prefix, some in routers.items():
         for router in some:
             app.include_router(router, prefix=prefix)
+    for name in settings.bridges:
+        app.include_router(BRIDGES[name].load(service), include_in_schema=False)
     stream = StreamEndpoint(service)
     for path in ("/v1/sessions/{session_id}/stream", "/{path:path}"):  # the second refuses
         app.router.routes.append(WebSocketRoute(path, stream))

@@ -20,6 +20,7 @@ from pydantic_settings import (
 from mfcmt_core.cli.variables import OWN, PREFIX, unread_variables
 
 from . import environment
+from .bridges import BRIDGES
 from .container import budget_bytes
 from .keys import LEAST_CHARACTERS, check_key, read_keys
 from .lanes.cores import default_lanes
@@ -185,6 +186,10 @@ class Settings(BaseSettings):
         default="info", description="lowest level that is logged"
     )
 
+    bridges: Names = Field(
+        default=(),
+        description=f"interfaces of other tools that are opened: {', '.join(BRIDGES)} (docs/integrations.md)",
+    )
     otlp_endpoint: str = Field(
         default="",
         description="base URL of the OTLP/HTTP collector of spans, as http://host:4318; default: no spans",
@@ -213,7 +218,7 @@ class Settings(BaseSettings):
         environment.take({name for name in map(str.upper, os.environ) if name.startswith(PREFIX)} - set(OWN))
         environment.take(OTLP_HEADERS)
 
-    @field_validator("api_keys", "signing_keys", "allowed_origins", mode="before")
+    @field_validator("api_keys", "signing_keys", "allowed_origins", "bridges", mode="before")
     @classmethod
     def _split(cls, value: Any) -> Any:
         if isinstance(value, str):
@@ -258,6 +263,14 @@ class Settings(BaseSettings):
                 examples = "https://app.example:8443 or capacitor://localhost"
                 raise ValueError(f"an origin is scheme://host[:port] and nothing more, as {examples}")
         return tuple(origin.lower() for origin in value)
+
+    @field_validator("bridges")
+    @classmethod
+    def _known_bridges(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        for name in value:
+            if name not in BRIDGES:
+                raise ValueError(f"there is no bridge {name[:40]!r}; there are {', '.join(BRIDGES)}")
+        return value
 
     @field_validator("public_url", "otlp_endpoint")
     @classmethod

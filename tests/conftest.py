@@ -32,6 +32,7 @@ CHAOS = ("chaos",)
 SLOW = (
     *BROWSER,
     *CHAOS,
+    "bridges",
     "core/otb/test_between.py",
     "core/otb/test_command.py",
     "core/otb/test_published.py",

@@ -14,6 +14,7 @@ from ..protocol.problems import MEDIA_TYPE, ProblemError
 
 JSON, MSGPACK, FORM = "application/json", "application/msgpack", "multipart/form-data"
 SNAPSHOT, BYTES = "application/vnd.mfcmt.snapshot", "application/octet-stream"
+KSERVE = "/v2"
 # Browsers send two hundred characters. Of a longer header only the beginning counts.
 MAX_ACCEPT_CHARACTERS = 1024
 MAX_TYPE_CHARACTERS = 256
@@ -55,12 +56,15 @@ def encode(kind: str, content: Any, status: int = 200, headers: Mapping[str, str
     return Response(to_json(content), status, headers, JSON)
 
 
-def problem_response(problem: ProblemError, request_id: str) -> Response:
-    """Return the answer to a refused call, always as JSON."""
+def problem_response(problem: ProblemError, request_id: str, path: str) -> Response:
+    """Return the answer to a refused call of ``path``, always as JSON."""
     headers = dict(problem.headers)
     if "retry_after_s" in problem.members:
         headers["Retry-After"] = str(max(1, round(problem.members["retry_after_s"])))
-    return Response(to_json(problem.body(request_id)), problem.status, headers, MEDIA_TYPE)
+    document = problem.body(request_id)
+    if path.startswith(KSERVE):
+        document["error"] = problem.detail  # where its clients look
+    return Response(to_json(document), problem.status, headers, MEDIA_TYPE)
 
 
 def _range(part: str) -> tuple[str, float]:

@@ -32,7 +32,7 @@ async def _problem(request: Request, problem: Exception) -> Response:
     assert isinstance(problem, ProblemError)
     request.state.problem = problem
     await request.app.state.service.delay_refusal(request.scope)
-    return problem_response(problem, request.state.request_id)
+    return problem_response(problem, request.state.request_id, request.url.path)
 
 
 async def _validation(request: Request, wrong: Exception) -> Response:
@@ -48,7 +48,7 @@ async def _http(request: Request, failed: Exception) -> Response:
     problem = ProblemError(code, _hint_of_stream(request) or CATALOGUE[code].example)
     problem.headers.update(failed.headers or {})
     if code is ProblemCode.METHOD_NOT_ALLOWED:
-        problem.headers["Allow"] = ", ".join(_methods(request))
+        problem.headers["Allow"] = ", ".join(_methods(request, (failed.headers or {}).get("Allow", "")))
     return await _problem(request, problem)
 
 
@@ -59,13 +59,13 @@ def _hint_of_stream(request: Request) -> str:
     return "a stream is a WebSocket: connect with ws:// or wss://"
 
 
-def _methods(request: Request) -> list[str]:
-    """Return the methods of the path. Several routes share it, and the router lists the methods of the first alone."""
+def _methods(request: Request, listed: str) -> list[str]:
+    """Return the methods of the path. Several routes may share it, and the router has ``listed`` the first's alone."""
     path = request.url.path
     for template, calls in request.app.openapi()["paths"].items():
         if re.fullmatch(re.sub(r"\{\w+\}", "[^/]+", template), path):
             return [name for method in calls for name in _with_head(method.upper())]
-    return _with_head("GET")
+    return [name for method in (listed or "GET").split(", ") for name in _with_head(method)]  # a bridge, or no call
 
 
 def _with_head(method: str) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from fastapi import APIRouter, Query
 from starlette.requests import Request
@@ -15,11 +15,15 @@ from ..protocol.answers import Result
 from ..protocol.enums import ProblemCode
 from ..protocol.problems import ProblemError
 from ..protocol.values import MAX_SEQ, check_echo, check_region, check_seq
+from ..service import Service
 from ..sessions.interface import QueuedFrame
 from ..sessions.session import Session
 from . import contract
 from .deps import AnswerDep, ServiceDep, SessionDep
 from .uploads import read_upload, refuse_others
+
+if TYPE_CHECKING:
+    from opentelemetry.trace import Span
 
 router = APIRouter(tags=["frames"])
 REGION = r"^-?[0-9]{1,7}(,-?[0-9]{1,7}){3}$"
@@ -65,25 +69,35 @@ async def post_frame(
         echo, cut = check_echo("ts", sent.pop("ts")), check_region(sent.pop("region"))
         frame = QueuedFrame(upload.frame, 0, echo, cut, arrived, time.monotonic())
         refuse_others(sent, "frame", "seq", "ts", "region")
-        _check_free(session, service.settings.credit_frames)
-        if sniff(frame.data) is None:
-            raise ProblemError(ProblemCode.UNSUPPORTED_IMAGE, "not a JPEG, PNG or WebP image")
+        check_frame(service, session, frame.data)
     except ProblemError:
         session.number(number)  # a refused frame has its number too
         raise
     frame.seq = session.number(number)
+    return answer(await track_frame(service, session, frame, request.scope["state"].get("span")))
+
+
+def check_frame(service: Service, session: Session, data: bytes | memoryview) -> None:
+    """Refuse a frame that cannot be tracked now, or is no image by its first bytes.
+
+    Raises attached-elsewhere, over-credit, unsupported-image.
+    """
+    most = service.settings.credit_frames
+    if session.attachment is not None:
+        raise ProblemError(ProblemCode.ATTACHED_ELSEWHERE, "a stream is attached")
+    if session.http_waiting >= most:
+        raise ProblemError(ProblemCode.OVER_CREDIT, f"at most {most} unanswered frames", retry_after_s=0.1)
+    if sniff(data) is None:
+        raise ProblemError(ProblemCode.UNSUPPORTED_IMAGE, "not a JPEG, PNG or WebP image")
+
+
+async def track_frame(service: Service, session: Session, frame: QueuedFrame, span: Span | None) -> dict[str, Any]:
+    """Track all targets in a frame that has its number, count it, and return the Result of the protocol."""
     session.http_waiting += 1
     try:
         result, _, stages = await session.track(frame)
     finally:
         session.http_waiting -= 1
     service.metrics.targets(result["targets"])
-    service.metrics.frame(stages, session.id, frame.seq, request.scope["state"].get("span"), live=True)
-    return answer(result)
-
-
-def _check_free(session: Session, most: int) -> None:
-    if session.attachment is not None:
-        raise ProblemError(ProblemCode.ATTACHED_ELSEWHERE, "a stream is attached")
-    if session.http_waiting >= most:
-        raise ProblemError(ProblemCode.OVER_CREDIT, f"at most {most} unanswered frames", retry_after_s=0.1)
+    service.metrics.frame(stages, session.id, frame.seq, span, live=True)
+    return result

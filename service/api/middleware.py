@@ -13,6 +13,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from .. import turns
+from ..bridges import BRIDGES
 from ..connections import OVER_CONNECTION_LIMIT, SHARE
 from ..observability.sampled import Sampled
 from ..protocol.enums import ProblemCode
@@ -24,8 +25,13 @@ from .bodies import HELD
 
 SANE_ID = re.compile(r"[A-Za-z0-9._:/+=-]{1,128}")
 # Frequent calls are logged at debug level, unless they are refused.
-PROBES = {"/livez", "/readyz", "/metrics", "/static/{path:path}"}
-FRAMES = "/v1/sessions/{session_id}/frames"
+PROBES = {"/livez", "/readyz", "/metrics", "/static/{path:path}", "/v2/health/live", "/v2/health/ready"}
+FREQUENT = {
+    *PROBES,
+    "/v1/sessions/{session_id}/frames",
+    "/v2/models/{model}/infer",
+    "/v2/models/{model}/versions/{version}/infer",
+}
 STREAM = "/v1/sessions/{session_id}/stream"
 SAFE_HEADERS = (
     ("X-Content-Type-Options", "nosniff"),
@@ -46,6 +52,8 @@ class RequestMiddleware:
 
     def __init__(self, app: ASGIApp, service: Service) -> None:
         self._app, self._service = app, service
+        guarded = (BRIDGES[name].guarded for name in service.settings.bridges)
+        self._guarded = re.compile("|".join(("/v1/", *guarded)))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one call or handshake."""
@@ -100,20 +108,20 @@ class RequestMiddleware:
         except ProblemError as refused:
             scope["state"]["problem"] = refused
             await self._service.delay_refusal(scope)
-            await problem_response(refused, request_id)(asked, receive, answer)
+            await problem_response(refused, request_id, scope["path"])(asked, receive, answer)
         except Exception:
             log.exception("internal error")
             if status == 0:
                 problem = ProblemError(ProblemCode.INTERNAL, CATALOGUE[ProblemCode.INTERNAL].example)
                 scope["state"]["problem"] = problem
-                await problem_response(problem, request_id)(asked, receive, answer)
+                await problem_response(problem, request_id, scope["path"])(asked, receive, answer)
         finally:
             held.resize(0)
             self._record(asked, scope["method"], status, time.monotonic() - began)
 
     def _admit(self, scope: Scope, headers: Headers) -> None:
         """Authenticate the caller before anything else is done. Raises unauthenticated, rate-limited."""
-        if scope["method"] == "OPTIONS" or not scope["path"].startswith("/v1/"):
+        if scope["method"] == "OPTIONS" or not self._guarded.match(scope["path"]):
             return
         state = scope["state"]
         identity = state[IDENTITY] = self._service.authenticator.identify(headers)
@@ -149,7 +157,7 @@ class RequestMiddleware:
         if problem is not None and path not in PROBES:
             refusals.info("call", **line)
         else:
-            (log.debug if path in PROBES or path == FRAMES else log.info)("call", **line)
+            (log.debug if path in FREQUENT else log.info)("call", **line)
 
     def _trace(self, scope: Scope, path: str, status: int) -> None:
         if (tracing := self._service.metrics.tracing) is not None:

@@ -142,7 +142,7 @@ class StreamEndpoint:
         refusals.info("stream refused", code=problem.code)
         await self._service.delay_refusal(scope)
         if "origin" not in headers and "websocket.http.response" in scope["extensions"]:
-            response = problem_response(problem, scope["state"]["request_id"])
+            response = problem_response(problem, scope["state"]["request_id"], scope["path"])
             await send(
                 {
                     "type": "websocket.http.response.start",

@@ -18,14 +18,14 @@ class Unreadable(Exception):
     """The bytes are no document of this format, or one beyond its bounds; the text says why."""
 
 
-def from_json(text: str | bytes) -> Any:
-    """Return the value of a JSON document (RFC 8259: no NaN, no doubled keys). Raises Unreadable.
+def from_json(text: str | bytes, most: int = MAX_ITEMS_IN_ALL) -> Any:
+    """Return the value of a JSON document (RFC 8259: no NaN, no doubled keys) of ``most`` items. Raises Unreadable.
 
     Commas and brackets are counted before it is read, also those in texts.
     """
-    if len(text) > MAX_ITEMS_IN_ALL:
+    if len(text) > most:
         comma, opening = (b",", (b"[", b"{")) if isinstance(text, bytes) else (",", ("[", "{"))
-        if text.count(comma) + sum(map(text.count, opening)) > MAX_ITEMS_IN_ALL:  # type: ignore[arg-type]
+        if text.count(comma) + sum(map(text.count, opening)) > most:  # type: ignore[arg-type]
             raise Unreadable("too many items")
     try:
         return json.loads(text, parse_constant=_refuse, object_pairs_hook=_unique)

@@ -105,6 +105,11 @@ class SessionRegistry:
         page = mine[:limit]
         return page, page[-1].ordinal if len(mine) > limit else None
 
+    def labelled(self, owner: str, label: str) -> Session | None:
+        """Return the newest of the caller's sessions with this label, None if there is none."""
+        mine = (s for s in reversed(self._sessions.values()) if s.owner == owner and s.options.label == label)
+        return next(mine, None)
+
     async def create(
         self, owner: str, data: bytes | memoryview, boxes: list[list[float]], options: Options, key: str | None
     ) -> Session:

@@ -15,7 +15,7 @@ from packaging.utils import canonicalize_name
 from tests.conftest import ROOT
 
 SERVING, DEVELOPMENT = ROOT / "requirements.lock", ROOT / "requirements-dev.lock"
-LOCKS = [SERVING, DEVELOPMENT, ROOT / ".ci" / "peers.lock"]
+LOCKS = [SERVING, DEVELOPMENT, *(ROOT / ".ci" / name for name in ("peers.lock", "bridges.lock"))]
 HASH = re.compile(r"--hash=sha256:[0-9a-f]{64}")
 Entry = tuple[Requirement, list[str]]
 

@@ -52,6 +52,8 @@ async def test_calls_need_a_key_and_metrics_the_key_of_the_admin(guarded: Wire, 
                 assert (response.status_code, response.json()["code"]) == (401, "unauthenticated")
                 assert response.headers["WWW-Authenticate"] == "Bearer"
         assert (await bare.get("/v1/sessions", headers={"X-API-Key": KEY})).status_code == 200
+        assert (await bare.get("/v1/sessions", auth=("anybody", KEY))).status_code == 200
+        assert (await bare.get("/v1/sessions", auth=(KEY, "wrong"))).status_code == 401
         assert (await bare.get("/livez")).status_code == 200
         assert (await bare.get("/metrics")).status_code == 401
         assert (await bare.get("/metrics", headers={"Authorization": f"Bearer {KEY}"})).status_code == 401
