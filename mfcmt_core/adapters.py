@@ -66,11 +66,11 @@ class Got10kTracker:
 
     def init(self, image: Any, box: npt.ArrayLike) -> None:
         """Start on ``box`` [x, y, w, h] of an RGB image. Raises BadBox or BadImage."""
-        self.tracker.init(_bgr(image), np.asarray(box, float) - self._origin)
+        self.tracker.init(bgr(image), np.asarray(box, float) - self._origin)
 
     def update(self, image: Any) -> npt.NDArray[np.float64]:
         """Return the box [x, y, w, h] in the next RGB image, (4,) float64."""
-        return self.tracker.update(_bgr(image)).box + self._origin
+        return self.tracker.update(bgr(image)).box + self._origin
 
     def track(
         self,
@@ -105,7 +105,7 @@ def xyxy(result: TrackResult) -> npt.NDArray[np.float32]:
     return np.array([[x, y, x + w, y + h]], np.float32)
 
 
-def _bgr(image: Any) -> Image:
+def bgr(image: Any) -> Image:
     """Return the image as BGR or gray ``uint8``. PIL resolves a palette or an alpha channel."""
     if getattr(image, "mode", "RGB") not in ("RGB", "L"):
         image = image.convert("RGB")

@@ -29,6 +29,7 @@ PROBES = {"/livez", "/readyz", "/metrics", "/static/{path:path}", "/v2/health/li
 FREQUENT = {
     *PROBES,
     "/v1/sessions/{session_id}/frames",
+    "/api/function_invocations",
     "/v2/models/{model}/infer",
     "/v2/models/{model}/versions/{version}/infer",
 }

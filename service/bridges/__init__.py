@@ -1,7 +1,8 @@
-"""Interfaces of other tools to the tracker: KServe v2.
+"""Interfaces of other tools to the tracker: KServe v2, CVAT.
 
 Those that open an interface of the service are off unless ``MFCMT_BRIDGES`` names them. They use sessions as the calls
-of the public API do, under the same keys, limits, metrics and problems.
+of the public API do, under the same keys, limits, metrics and problems. This module is small: settings read it, and
+:mod:`.cvat_function` is used where no service is.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ class Bridge:
 
 
 BRIDGES = {
+    "cvat": Bridge("cvat", r"/api/function"),
     "kserve": Bridge("kserve", r"/v2(?!/health/)"),
 }
 """The bridges by the names that ``MFCMT_BRIDGES`` has for them."""

@@ -36,3 +36,9 @@ async def track(service: Service, session: Session, data: bytes | memoryview, sp
     frame = QueuedFrame(data, session.number(None), None, None, arrived, time.monotonic())
     check_frame(service, session, data)
     return await track_frame(service, session, frame, span)
+
+
+async def restore(service: Service, owner: str, contents: bytes | memoryview) -> Session:
+    """Return a session that goes on from a snapshot whose signature was verified. Raises bad-snapshot and others."""
+    service.rate_limiter.count_bytes(owner, len(contents))
+    return await service.registry.restore(owner, contents, None)

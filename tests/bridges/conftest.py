@@ -33,7 +33,7 @@ def tools() -> Path:
 def bridged() -> Iterator[OwnServer]:
     """A service that wants keys, with all bridges that need no other setting."""
     keys = f"{KEY},{OTHER}"
-    with OwnServer(lanes=2, bridges="kserve", api_keys=keys, operation_deadline_s=60, log_level="debug") as server:
+    with OwnServer(lanes=2, bridges="kserve,cvat", api_keys=keys, operation_deadline_s=60, log_level="debug") as server:
         yield server
 
 
