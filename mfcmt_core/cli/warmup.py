@@ -28,6 +28,7 @@ from numba.core.dispatcher import Dispatcher
 
 from .. import kernels, synthetic
 from ..config import PRESETS, MFCMTConfig
+from ..images.excerpt import excerpt
 from ..images.mend import mend
 from ..kernels.cpu import target
 from ..tracker import MFCMT
@@ -67,8 +68,10 @@ def dispatchers() -> Iterator[Dispatcher]:
 
 
 def exercise() -> None:
-    """Run every kernel: all presets on color and gray, learning, lost and restored; mend a JPEG."""
-    mend(simplejpeg.encode_jpeg(np.zeros((8, 8, 3), np.uint8)))
+    """Run every kernel: all presets on color and gray, learning, lost and restored; mend and cut a JPEG."""
+    jpeg = simplejpeg.encode_jpeg(np.zeros((8, 8, 3), np.uint8))
+    mend(jpeg)
+    excerpt(jpeg, (0, 0, 8, 8))
     for gray in (False, True):
         clip = synthetic.clip("motion", size=(96, 72), target=(18, 14), length=4, gray=gray)
         frames = list(clip.frames)

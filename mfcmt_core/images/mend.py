@@ -9,13 +9,12 @@ here, and the result must decode without any warning.
 from __future__ import annotations
 
 import re
-from functools import cache, lru_cache
 
 import numpy as np
 import numpy.typing as npt
-import simplejpeg
 
 from ..kernels import coded
+from . import huffman
 from .header import MAX_PARTS
 
 _MARKER = re.compile(rb"\xff[^\x00\xff]")
@@ -69,8 +68,7 @@ class _Picture:
         self._width = self._height = self._restart = 0
         self._progressive = False
         self._tables = np.zeros((8, 1 << 16), np.uint16)  # four for DC, four for AC
-        for index, table in _standard_tables().items():
-            self._tables[index] = table
+        self._set_tables(huffman.standard())
 
     def read(self) -> None:
         """Read segments and scans to the end, or until the picture is complete."""
@@ -98,7 +96,7 @@ class _Picture:
                 self.parts.append(segment)
             elif marker in (_DHT, _DQT, _DRI):
                 if marker == _DHT:
-                    self._huffman(body)
+                    self._set_tables(huffman.split(body))
                 elif marker == _DRI:
                     self._restart = body[0] << 8 | body[1]
                 self.parts.append(segment)
@@ -128,15 +126,9 @@ class _Picture:
         if self._progressive:
             self._tables[:] = 0  # progressive images have no standard tables
 
-    def _huffman(self, body: bytes) -> None:
-        at = 0
-        while at < len(body):
-            end = at + 17 + sum(body[at + 1 : at + 17])
-            kind, slot = body[at] >> 4, body[at] & 15
-            if kind > 1 or slot > 3 or end > len(body):
-                raise ValueError("a Huffman table is invalid")
-            self._tables[4 * kind + slot] = _lookup(body[at + 1 : end])
-            at = end
+    def _set_tables(self, tables: dict[int, bytes]) -> None:
+        for number, table in tables.items():
+            self._tables[number] = huffman.lookup(table)
 
     def _scan(self, body: bytes, at: int) -> int:
         """Copy one scan, whose coded data begin at ``at``, and return where the next marker begins."""
@@ -187,30 +179,3 @@ class _Picture:
             raise ValueError("a scan is invalid")
         blocks = [(s >> 4, 4 + (s & 15)) for s, n in zip(slots, repeats, strict=True) for _ in range(n)]
         return np.array(blocks, np.int64) << 16, count
-
-
-@lru_cache(maxsize=16)
-def _lookup(table: bytes) -> npt.NDArray[np.uint16]:
-    """Expand a Huffman table (the number of codes of each length, then their symbols) to the form of ``coded``."""
-    lengths = np.repeat(np.arange(1, 17), np.frombuffer(table[:16], np.uint8))
-    spans = 1 << (16 - lengths)
-    if spans.sum() > 1 << 16:
-        raise ValueError("a Huffman table is invalid")
-    entries = lengths << 8 | np.frombuffer(table[16:], np.uint8)
-    found = np.zeros(1 << 16, np.uint16)
-    found[: spans.sum()] = np.repeat(entries, spans)
-    return found
-
-
-@cache
-def _standard_tables() -> dict[int, npt.NDArray[np.uint16]]:
-    """Return the tables of a sequential JPEG without its own, as in a camera's video. An encoder supplies them."""
-    data = simplejpeg.encode_jpeg(np.zeros((8, 8, 3), np.uint8))
-    tables, at = {}, 2
-    while data[at + 1] != _SOS:
-        length = data[at + 2] << 8 | data[at + 3]
-        if data[at + 1] == _DHT:
-            body = data[at + 4 : at + 2 + length]
-            tables[4 * (body[0] >> 4) + (body[0] & 15)] = _lookup(body[1:])
-        at += 2 + length
-    return tables

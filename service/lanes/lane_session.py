@@ -8,8 +8,8 @@ from time import perf_counter
 from typing import Any
 
 from mfcmt_core import MFCMT, BadBox, MFCMTConfig, RegionTooSmall, TrackResult
-from mfcmt_core.images import FrameError
-from mfcmt_core.images.decode import Image, decode
+from mfcmt_core.images import FrameError, inspect
+from mfcmt_core.images.decode import Image, decode, decode_inspected, decode_part
 
 from ..protocol.enums import Preset, ProblemCode, Resize
 from ..protocol.problems import ProblemError
@@ -82,7 +82,7 @@ class LaneSession:
         as ``[code, detail, members]``.
         """
         begun = perf_counter()
-        view = self._view(data, region)
+        view = self._view(data, region, whole=bool(controls))
         decoded = perf_counter()
         started: set[int] = set()  # on this frame: they are not tracked in it
         if view.frame_size != self._size:
@@ -97,7 +97,7 @@ class LaneSession:
         if region is None:
             self._want_full = False
         self._seq, self._size = seq, view.frame_size
-        self._newest, self._newest_at = data, view.offset
+        self._newest, self._newest_at = data, (0, 0) if region is None else (region[0], region[1])
         return self._state(decoded - begun, perf_counter() - decoded) | {"answers": answers}
 
     def control(self, control: dict[str, Any]) -> dict[str, Any]:
@@ -177,18 +177,29 @@ class LaneSession:
         tracker = MFCMT(PRESETS[self._options.preset]())
         return TrackedTarget(tracker, view.start(tracker, box))
 
-    def _view(self, data: bytes, region: list[int] | None) -> FrameView:
-        """Return the frame's pixels. Raises ProblemError if its header, its pixels or its region are no good."""
+    def _view(self, data: bytes, region: list[int] | None, *, whole: bool = False) -> FrameView:
+        """Return the frame's pixels: all that were sent, if ``whole``, or the part that the trackers look at.
+
+        Raises ProblemError if its header, its region or its data are no good.
+        """
         try:
-            image, info = decode(data, self._limits.frame)
+            info = inspect(data, self._limits.frame)
+            size = (info.width, info.height)
+            if self._size != (0, 0):
+                self._check_region(size, region)
+            x, y = (0, 0) if region is None else region[:2]
+            frame_size = size if region is None else self._size
+            needed = None if whole or frame_size != self._size else self._needed()
+            if needed is None:
+                return FrameView(decode_inspected(data, info), (x, y), frame_size)
+            image, (left, top) = decode_part(data, info, (needed[0] - x, needed[1] - y, needed[2], needed[3]))
         except FrameError as bad:
             raise ProblemError(ProblemCode(bad.code), bad.detail) from bad
-        size = (info.width, info.height)
-        if self._size != (0, 0):
-            self._check_region(size, region)
-        if region is None:
-            return FrameView(image, (0, 0), size)
-        return FrameView(image, (region[0], region[1]), self._size)
+        return FrameView(image, (x + left, y + top), frame_size)
+
+    def _needed(self) -> Rect | None:
+        """Return the part of the next frame that the trackers look at, None without targets."""
+        return union(target.tracker.needed_region() for target in self._targets.values())
 
     def _check_region(self, size: tuple[int, int], region: list[int] | None) -> None:
         """Check that an image of ``size`` is the whole frame, or a region that covers what the trackers need."""
@@ -198,7 +209,7 @@ class LaneSession:
                 raise ProblemError(ProblemCode.FRAME_SIZE_CHANGED, detail)
             return
         x, y, w, h = region
-        needed = union(target.tracker.needed_region() for target in self._targets.values())
+        needed = self._needed()
         fault = None
         if (w, h) != size:
             fault = "the image is {}x{}, which is not the region's size".format(*size)

@@ -21,6 +21,7 @@ import numpy as np
 from mfcmt_core import MFCMT, MFCMTConfig
 from mfcmt_core.images import FrameLimits
 from mfcmt_core.images.decode import decode
+from mfcmt_core.images.excerpt import excerpt
 from mfcmt_core.images.mend import mend
 
 from . import operations as operations
@@ -39,7 +40,9 @@ def _warm() -> None:
             MFCMT.from_bytes(tracker.to_bytes())
     for suffix in (".jpg", ".png", ".webp"):
         decode(cv2.imencode(suffix, noise)[1].tobytes(), FrameLimits())
-    mend(cv2.imencode(".jpg", noise)[1].tobytes())
+    jpeg = cv2.imencode(".jpg", noise)[1].tobytes()
+    mend(jpeg)
+    excerpt(jpeg, (60, 40, 30, 24))
 
 
 _warm()

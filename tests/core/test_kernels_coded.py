@@ -11,7 +11,8 @@ import simplejpeg
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mfcmt_core.images.mend import _lookup, mend
+from mfcmt_core.images.huffman import lookup
+from mfcmt_core.images.mend import mend
 from mfcmt_core.kernels import coded
 
 from . import jpegs
@@ -26,7 +27,7 @@ def data_of(*values):
 
 def table(*symbols):
     """Return a table with the codes 0, 10, 110 and 1110 for four symbols."""
-    return _lookup(bytes([1, 1, 1, 1]) + bytes(12) + bytes(symbols))
+    return lookup(bytes([1, 1, 1, 1]) + bytes(12) + bytes(symbols))
 
 
 def test_fill_stops_at_a_marker_and_undoes_stuffing():
@@ -97,7 +98,7 @@ def test_walk_says_where_each_interval_ends(restart):
     for found in re.finditer(rb"\xff\xc4", raw):
         body = raw[found.end() + 2 : found.start() + 2 + int.from_bytes(raw[found.end() : found.end() + 2], "big")]
         if body[0] in (0x00, 0x10):
-            tables[body[0] >> 4] = _lookup(body[1:])
+            tables[body[0] >> 4] = lookup(body[1:])
     stray = jpegs.before_restarts(data, b"\1\2\3")
     ends = np.zeros((20 if restart else 1, 2), np.int64)
 
