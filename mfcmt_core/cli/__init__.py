@@ -54,6 +54,7 @@ COMMANDS = {
     "track": Subcommand.of("mfcmt_core.cli.track", "follow a box through images, a video or a camera"),
     "eval": Subcommand.of("mfcmt_core.cli.evaluate", "score trackers on OTB: OPE, TRE, SRE"),
     "bench": Subcommand.of("mfcmt_core.cli.bench", "measure milliseconds per frame and stage, alone or against others"),
+    "trax": Subcommand.of("mfcmt_core.cli.trax", "serve the tracker to the VOT toolkit, which starts this command"),
     "warmup": Subcommand.of("mfcmt_core.cli.warmup", "compile the kernels for this CPU and keep them on disk"),
 }
 

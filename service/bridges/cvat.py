@@ -41,7 +41,7 @@ MAX_OBJECTS = 256
 # New objects are given states that hold all of them if these have at most as many bytes in all.
 VALUES_BYTES = 16 * 1024 * 1024
 # About what a target takes of a snapshot, beside the frame.
-TARGET_BYTES = 600 * 1024
+TARGET_BYTES = 750 * 1024
 # Beside image and states.
 ENVELOPE_BYTES = 64 * 1024
 SHAPE = "a shape is [x1, y1, x2, y2], or a map of the type rectangle with such points"

@@ -39,11 +39,16 @@ def bridged() -> Iterator[OwnServer]:
 
 def run(command: list[str | Path], **more: Any) -> subprocess.CompletedProcess[str]:
     """Run a command of the tools' environment, without the variables of this one."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith(("MFCMT_", "PYTHON"))}
-    environment |= more.pop("env", {})
+    variables = environment(more.pop("env", {}))
     return subprocess.run(
-        [str(word) for word in command], capture_output=True, text=True, check=False, env=environment, **more
+        [str(word) for word in command], capture_output=True, text=True, check=False, env=variables, **more
     )
+
+
+def environment(added: dict[str, str]) -> dict[str, str]:
+    """The variables of a process of the tools' environment."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("MFCMT_", "PYTHON"))}
+    return kept | added
 
 
 def script(tools: Path, path: Path, *arguments: object) -> Any:

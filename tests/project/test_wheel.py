@@ -60,7 +60,7 @@ def test_a_tool_that_is_not_there_says_where_it_is(wheel: Path, name: str) -> No
 
 def test_all_other_commands_are_there(wheel: Path) -> None:
     listed = run(wheel, "--help").stdout
-    for name in ("track", "eval", "bench", "warmup", "serve", "health", "load", "demo"):
+    for name in ("track", "eval", "bench", "trax", "warmup", "serve", "health", "load", "demo"):
         assert f"    {name} " in listed
         assert run(wheel, name, "--help").returncode == 0
 
