@@ -190,7 +190,7 @@ def _read(segments: bytes) -> _Layout:
         blocks=np.array(blocks, np.int64),
         codes=codes,
         quick=np.stack([_quick(row, number >= 4) for number, row in zip(used, codes, strict=True)]),
-        dc_codes=np.stack([_dc_codes(row) for row in codes]),
+        dc_codes=np.stack([_dc_codes(table) for table in chosen]),
     )
 
 
@@ -210,13 +210,16 @@ def _quick(codes: npt.NDArray[np.uint16], of_ac: bool) -> npt.NDArray[np.uint16]
     return quick
 
 
-def _dc_codes(codes: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint64]:
+def _dc_codes(table: bytes) -> npt.NDArray[np.uint64]:
     """Return 32 times the code of each size plus its length, (16,), or 0 where there is none."""
-    found = np.zeros(16, np.uint64)
-    for entry in np.unique(codes[codes > 0]):
-        size, length = int(entry) & 255, int(entry) >> 8
-        if size < len(found):
-            found[size] = (int(np.argmax(codes == entry)) >> (16 - length)) << 5 | length
+    found, code, at = np.zeros(16, np.uint64), 0, 16
+    for length in range(1, 17):
+        for symbol in table[at : at + table[length - 1]]:
+            if symbol < len(found):
+                found[symbol] = code << 5 | length
+            code += 1
+        at += table[length - 1]
+        code <<= 1
     return found
 
 

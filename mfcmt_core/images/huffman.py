@@ -21,7 +21,7 @@ def lookup(table: bytes) -> npt.NDArray[np.uint16]:
         raise ValueError("a Huffman table is invalid")
     entries = lengths << 8 | np.frombuffer(table[16:], np.uint8)
     found = np.zeros(1 << 16, np.uint16)
-    found[: spans.sum()] = np.repeat(entries, spans)
+    found[: spans.sum()] = np.repeat(entries.astype(np.uint16), spans)
     return found
 
 
