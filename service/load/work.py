@@ -30,7 +30,7 @@ class Work:
 
 
 def in_process(clip: Clip, seconds: float) -> Work:
-    """Decode and track ``clip`` for ``seconds`` in a new process that is set up as a lane is."""
+    """Decode what is needed of ``clip`` and track it for ``seconds``, in a new process that is set up as a lane is."""
     os.environ.update(dict.fromkeys(THREADS, "1"))  # before the child loads its libraries
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         return pool.submit(_in_process, clip, seconds).result()
@@ -38,13 +38,16 @@ def in_process(clip: Clip, seconds: float) -> Work:
 
 def _in_process(clip: Clip, seconds: float) -> Work:
     from mfcmt_core import MFCMT
-    from mfcmt_core.images.decode import decode
+    from mfcmt_core.images import inspect
+    from mfcmt_core.images.decode import decode, decode_part
 
     from ..lanes import preload  # noqa: F401  (threads, limits and kernels as in a lane)
     from .clips import LIMITS
 
     tracker = MFCMT()
-    tracker.init(decode(clip.frame(0), LIMITS)[0], clip.box)
+    first, info = decode(clip.frame(0), LIMITS)
+    tracker.init(first, clip.box)
+    size = (info.width, info.height)
     wall, decoding = [], []
     cpu_start = start = 0.0
     index = 0
@@ -53,9 +56,10 @@ def _in_process(clip: Clip, seconds: float) -> Work:
             start, cpu_start = time.perf_counter(), time.process_time()
         index += 1
         clock = time.perf_counter()
-        image, _ = decode(clip.frame(index), LIMITS)
+        data = clip.frame(index)
+        image, offset = decode_part(data, inspect(data, LIMITS), tracker.needed_region())
         decoded = time.perf_counter()
-        tracker.update(image)
+        tracker.update(image, offset=offset, frame_size=size)
         if index > WARM_FRAMES:
             wall.append(time.perf_counter() - clock)
             decoding.append(decoded - clock)
