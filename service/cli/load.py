@@ -9,9 +9,11 @@ import sys
 from pathlib import Path
 
 from mfcmt_core.cli import UsageError
+from mfcmt_core.cli.measure import cpu_name
 from mfcmt_core.cli.progress import Progress
 
 from ..client import ClientError
+from ..load import table
 from ..load.clips import Clip, open_clip
 from ..load.drive import Pace
 from ..load.own import OwnServer, ServerFailed
@@ -62,6 +64,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--key", help="its API key")
     add("--allow-remote", action="store_true", help="let --url name another machine")
     add("--report", action="store_true", help="measure the service's targets, all in one run (some minutes)")
+    add("--table", action="store_true", help="measure what a frame costs by size, quality and targets, for sizing")
     add(
         "--sequences",
         metavar="ROOT",
@@ -74,6 +77,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Do the work; the exit code."""
     _check(args)
+    if args.table:
+        return _table(args)
     clip = open_clip(args.frames, args.box, MAX_FRAMES)
     size = _size(args.size) or (VGA if args.report else None)
     if size:
@@ -89,6 +94,18 @@ def run(args: argparse.Namespace) -> int:
         print(f"mfcmt load: {failed}", file=sys.stderr)
         return 1
     print(json.dumps(outcome.as_dict()) if args.json else of_run(outcome))
+    return 0
+
+
+def _table(args: argparse.Namespace) -> int:
+    try:
+        with Progress(table.STEPS, "rows") as bar:
+            rows = table.measure(args.seconds, bar.begin)
+    except (ClientError, ServerFailed) as failed:
+        print(f"mfcmt load: {failed}", file=sys.stderr)
+        return 1
+    machine = {"cpu": cpu_name(), "rows": [row.as_dict() for row in rows]}
+    print(json.dumps(machine) if args.json else table.of_table(rows))
     return 0
 
 
@@ -122,8 +139,10 @@ def _check(args: argparse.Namespace) -> None:
         host = host_of(args.url, args.key)
         if host not in LOOPBACK and not args.allow_remote:
             raise UsageError(f"{host} is another machine; --allow-remote if that is meant")
-        if args.report or args.lanes:
-            raise UsageError("--report and --lanes start a server of their own; leave out --url")
+        if args.report or args.table or args.lanes:
+            raise UsageError("--report, --table and --lanes start a server of their own; leave out --url")
+    if args.table and (args.report or args.frames or args.size or args.box):
+        raise UsageError("--table renders its own frames and goes with neither --report, --frames, --size nor --box")
 
 
 def _size(text: str | None) -> tuple[int, int] | None:

@@ -55,9 +55,9 @@ class Clip:
         return replace(self, frames=frames, box=(x * across, y * down, w * across, h * down))
 
 
-def encode(image: np.ndarray) -> bytes:
-    """Return ``image`` as a JPEG of quality 80, as cameras and browsers send."""
-    done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+def encode(image: np.ndarray, quality: int = JPEG_QUALITY) -> bytes:
+    """Return ``image`` as a JPEG, of quality 80 as cameras and browsers send."""
+    done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
     assert done
     return data.tobytes()
 

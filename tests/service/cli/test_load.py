@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
 from mfcmt_core import synthetic
 from mfcmt_core.cli import main
+from mfcmt_core.cli.measure import cpu_name
+from service.load import table
 from service.load.clips import Clip, open_clip
 from service.load.drive import Pace
 from service.load.own import OwnServer
@@ -45,6 +48,30 @@ def test_load_drives_a_given_server(server: OwnServer, folder: Path, capsys: pyt
     assert "round trip  p50" in out
 
 
+def test_the_table_has_a_row_for_each_kind_of_frames(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(table, "SIZES", {"320×240": (320, 240)})
+    assert main(["load", "--table", "--seconds", "0.3", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["cpu"]
+    assert [row["kind"] for row in report["rows"]] == [asdict(kind) for kind in table.KINDS]
+    for row in report["rows"]:
+        assert min(row["front_ms"], row["lane_ms"], row["decode_ms"], row["track_ms"], row["streams"]) >= 0
+        assert row["bound"] in ("front", "decode", "track")
+    whole, regions = report["rows"][1], report["rows"][4]
+    assert whole["kind"] | {"regions": True} == regions["kind"]
+    assert regions["frame_bytes"] < whole["frame_bytes"]
+
+
+def test_the_table_is_markdown() -> None:
+    text = table.of_table([table.Row("640×480", table.Kind(False, 75, 1), 5e4, 0.2, 0.8, 0.3, 0.4)])
+    head, _, *lines = text.splitlines()
+    assert cpu_name() in head
+    assert {line.count("|") for line in lines} == {8}
+    assert "| 33 | track |" in lines[-1]
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -58,6 +85,9 @@ def test_load_drives_a_given_server(server: OwnServer, folder: Path, capsys: pyt
         ["--box", "1,2,3"],
         ["--frames", "no/such/folder"],
         ["--url", "http://127.0.0.1:1", "--report"],
+        ["--url", "http://127.0.0.1:1", "--table"],
+        ["--table", "--report"],
+        ["--table", "--size", "640x480"],
         ["--url", "ws://127.0.0.1:1"],
         ["--url", "http://127.0.0.1:1", "--key", "two words"],
     ],
