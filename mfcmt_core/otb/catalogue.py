@@ -56,12 +56,14 @@ CHOICES: dict[str, dict[str, Any]] = {
     "all-scales": {"scale_samples": 33},
     "small-scale-samples": {"scale_max_area": 512.0},
     "scale-in-each": {"scale_interval": 1},
+    "search-when-lost": {"search_after": 0},
 }
 """``default-<choice>``: a choice in which default() differs from paper(), taken back alone. Filters themselves can
 be averaged only without the background-aware one: ``average-filter`` compares with ``one-filter``."""
 
 _AS_PUBLISHED: dict[str, Any] = {
     **ALWAYS_UPDATE,
+    "search_after": 0,
     "background_interval": 0,
     "doubt_threshold": 0.0,
     "learn_within": 0.0,

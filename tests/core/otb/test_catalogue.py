@@ -29,8 +29,9 @@ def test_a_preset_is_found_by_its_name_and_takes_a_label() -> None:
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_the_papers_rivals_learn_every_frame(name: str) -> None:
+def test_the_papers_rivals_learn_every_frame_and_search_no_whole_frame(name: str) -> None:
     config = engine(name).config
+    assert config.search_after == 0
     assert config.fused_threshold == config.template_threshold == config.statistical_threshold == 0
     assert config.lost_after == 0
     assert config.color_histogram == (name in ("staple", "dat"))
