@@ -125,7 +125,10 @@ def _segments(data: bytes) -> tuple[bytes, int] | None:
     for _ in range(MAX_PARTS):
         if at + 4 > len(data) or data[at] != 0xFF:
             return None
-        marker, end = data[at + 1], at + 2 + (data[at + 2] << 8 | data[at + 3])
+        marker, length = data[at + 1], data[at + 2] << 8 | data[at + 3]
+        end = at + 2 + length
+        if length < 2:
+            return None
         if marker in _SOF or marker in (_SOS, _DHT, _DQT, _DRI):
             kept.append(data[at:end])
         elif marker in (_APP0, _APP14):  # they decide on the color space
@@ -150,7 +153,7 @@ def _layout(segments: bytes) -> _Layout | None:
 
 def _read(segments: bytes) -> _Layout:
     tables, head, rest = dict(huffman.standard()), b"\xff\xd8", b""
-    restart, at, marker = 0, 0, 0
+    restart, at, marker, frame = 0, 0, 0, b""
     while marker != _SOS:
         marker, end = segments[at + 1], at + 2 + (segments[at + 2] << 8 | segments[at + 3])
         segment, body = segments[at:end], segments[at + 4 : end]

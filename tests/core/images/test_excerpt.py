@@ -118,6 +118,14 @@ def test_a_part_of_a_faulty_form_has_the_pixels_of_the_whole(odd, good, monkeypa
     assert np.array_equal(image, whole[y : y + image.shape[0], x : x + image.shape[1]])
 
 
+@pytest.mark.parametrize("more", [b"\0", b"\xff", b"\xff\xe2\0\0", b"\xff\xe2\0\1", b"\xff\xf7\0\2"])
+def test_a_header_that_is_not_plainly_segment_after_segment_leaves_no_excerpt(more):
+    data = jpegs.plain()
+    for at, _ in jpegs.segments(data)[0]:
+        assert excerpt(jpegs.insert(data, at, more), (0, 0, 9, 9)) is None
+    assert excerpt(data, (0, 0, 9, 9)) is not None
+
+
 @pytest.mark.parametrize("restart", [0, 5])
 def test_missing_data_leave_no_excerpt(restart):
     data = jpegs.with_restarts(restart) if restart else jpegs.plain()
