@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import structlog
 
-from .hosts import Hosts
+from .hosts import LOCAL, Hosts, is_local_page
 from .keys import Identity, by_digest, digest, read_keys
 from .protocol.enums import ProblemCode
 from .protocol.problems import ProblemError
@@ -136,11 +136,12 @@ class Authenticator:
             raise ProblemError(ProblemCode.HOST_REFUSED, UNKNOWN_HOST)
         origin = headers.get("origin")
         if origin is not None and not self.allows(origin.lower(), host):
-            raise ProblemError(ProblemCode.ORIGIN_REFUSED, "the origin is not on the list")
+            detail = f"pages of {origin[:100]} may not call this service: add the origin to MFCMT_ALLOWED_ORIGINS"
+            raise ProblemError(ProblemCode.ORIGIN_REFUSED, detail)
 
     def allows(self, origin: str, host: str) -> bool:
         """Return whether a page of ``origin`` may call the service at ``host``; both in lower case."""
-        if origin in self._origins:
+        if origin in self._origins or (LOCAL in self._origins and is_local_page(origin)):
             return True
         return bool(host) and origin in (f"http://{host}", f"https://{host}") and self._answers_to(host)
 

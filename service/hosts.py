@@ -22,6 +22,13 @@ class Hosts:
         return not host or name == LOCAL or name.endswith(f".{LOCAL}") or name in self._names or _is_address(name)
 
 
+def is_local_page(origin: str) -> bool:
+    """Return whether an origin, in lower case, is of a page that the browser's own machine serves over http(s)."""
+    name = _name(origin)
+    local = name == LOCAL or name.endswith(f".{LOCAL}") or (_is_address(name) and ip_address(name).is_loopback)
+    return local and origin.startswith(("http://", "https://"))
+
+
 @lru_cache(256)
 def _name(text: str) -> str:
     """Return the host name in a URL or in ``host:port``; "" if there is none."""

@@ -22,6 +22,7 @@ from mfcmt_core.cli.variables import OWN, PREFIX, unread_variables
 from . import environment
 from .bridges import BRIDGES
 from .container import budget_bytes
+from .hosts import LOCAL
 from .keys import LEAST_CHARACTERS, check_key, read_keys
 from .lanes.cores import default_lanes
 
@@ -172,7 +173,8 @@ class Settings(BaseSettings):
     allow_unauthenticated: bool = Field(default=False, description="allow listening beyond loopback without keys")
     allowed_origins: Names = Field(
         default=(),
-        description="browser origins besides the service's own, as https://host:port or, of apps, capacitor://localhost",
+        description="browser origins besides the service's own, as https://host:port or, of apps, "
+        "capacitor://localhost; localhost alone: every page of the browser's own machine, for development",
     )
     ticket_s: float = _positive(30.0, "a ticket is valid for this long")
     max_ticket_s: float = _positive(300.0, "maximum of a client's ttl_s")
@@ -259,8 +261,8 @@ class Settings(BaseSettings):
     @classmethod
     def _bare_origins(cls, value: tuple[str, ...]) -> tuple[str, ...]:
         for origin in value:
-            if not ORIGIN.fullmatch(origin):
-                examples = "https://app.example:8443 or capacitor://localhost"
+            if not ORIGIN.fullmatch(origin) and origin.lower() != LOCAL:
+                examples = "https://app.example:8443 or capacitor://localhost (or localhost alone, for development)"
                 raise ValueError(f"an origin is scheme://host[:port] and nothing more, as {examples}")
         return tuple(origin.lower() for origin in value)
 

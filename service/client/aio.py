@@ -24,6 +24,8 @@ T = TypeVar("T")
 SNAPSHOT = "application/vnd.mfcmt.snapshot"
 # How often a call that may be repeated is tried while the service cannot be reached.
 ATTEMPTS, RETRY_DELAY_S = 3, 0.1
+# A place that another client gives up is free long before the service could foresee it.
+ASK_AGAIN_S = 1.0
 # How long a creation is tried again while the service has no ready lane or no place.
 WAIT_S = 30.0
 
@@ -170,7 +172,7 @@ class AsyncClient:
             except Problem as refused:
                 if refused.status != 503 or refused.retry_after_s is None or time.monotonic() >= give_up:
                     raise
-                await asyncio.sleep(min(refused.retry_after_s, max(0.0, give_up - time.monotonic())))
+                await asyncio.sleep(min(refused.retry_after_s, ASK_AGAIN_S, max(0.0, give_up - time.monotonic())))
             else:
                 return AsyncSession(self, read_answer(SessionInfo, made))
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 from ..lanes.interface import AtCapacity, Lanes
 from ..observability.metrics import Metrics
@@ -13,6 +14,10 @@ from ..protocol.problems import NO_LANE, NO_PLACE, ProblemError
 from ..settings import Settings
 from .session import Session
 from .store import SessionStore
+
+# When a place becomes free is not known while all sessions are used: streams go on for as long as their clients like.
+UNKNOWN_WAIT_S = 10.0
+LEAST_WAIT_S = 1.0
 
 
 class KeyQuotas:
@@ -42,7 +47,8 @@ class KeyQuotas:
 class Admission:
     """Admits a session at once or refuses it; nothing is queued.
 
-    ``sessions`` are those that live, by id; ``sweep`` ends those of them that are overdue, which makes room.
+    ``sessions`` are those that live, by id; ``sweep`` ends those of them that are overdue, which makes room;
+    ``seconds_left`` returns how long a session lives if it is not used again.
     """
 
     def __init__(
@@ -54,11 +60,12 @@ class Admission:
         store: SessionStore,
         sessions: Mapping[str, Session],
         sweep: Callable[[], None],
+        seconds_left: Callable[[Session], float],
     ) -> None:
         self.draining = False
         self._settings, self._lanes, self._metrics = settings, lanes, metrics
         self._quotas, self._store = quotas, store
-        self._sessions, self._sweep = sessions, sweep
+        self._sessions, self._sweep, self._seconds_left = sessions, sweep, seconds_left
         self._starting: Counter[str] = Counter()
 
     @contextlib.contextmanager
@@ -96,8 +103,9 @@ class Admission:
             try:
                 self._lanes.reserve(sid, owner)
             except AtCapacity:
-                ready = any(lane.ready for lane in self._lanes.status())
-                raise self._refusal(ProblemCode.AT_CAPACITY, NO_PLACE if ready else NO_LANE) from None
+                if not any(lane.ready for lane in self._lanes.status()):
+                    raise self._refusal(ProblemCode.AT_CAPACITY, NO_LANE) from None
+                raise self._full(ProblemCode.AT_CAPACITY, NO_PLACE, self._sessions.values()) from None
 
     def _check_quota(self, owner: str) -> None:
         """Raises over-quota for an owner with as many sessions as it may have, including those that start."""
@@ -106,11 +114,20 @@ class Admission:
             return
         self._sweep()
         if self._count(owner) >= most:
-            raise self._refusal(ProblemCode.OVER_QUOTA, f"at most {most} sessions of a key")
+            own = [session for session in self._sessions.values() if session.owner == owner]
+            raise self._full(ProblemCode.OVER_QUOTA, f"at most {most} sessions of a key", own)
 
     def _count(self, owner: str) -> int:
         return self._starting[owner] + sum(session.owner == owner for session in self._sessions.values())
 
-    def _refusal(self, code: ProblemCode, detail: str, retry_after_s: float = 1.0) -> ProblemError:
+    def _full(self, code: ProblemCode, detail: str, sessions: Iterable[Session]) -> ProblemError:
+        """Return the refusal of a session that finds all of ``sessions`` in its place, with the time when one ends."""
+        unused = [self._seconds_left(one) for one in sessions if one.attachment is None and not one.busy]
+        if not unused:
+            return self._refusal(code, f"{detail}: all are in use", UNKNOWN_WAIT_S)
+        wait_s = max(LEAST_WAIT_S, math.ceil(min(unused)))
+        return self._refusal(code, f"{detail}: one that nobody uses ends in {wait_s:.0f} s, if not earlier", wait_s)
+
+    def _refusal(self, code: ProblemCode, detail: str, retry_after_s: float = LEAST_WAIT_S) -> ProblemError:
         self._metrics.refused_sessions.labels(reason=code).inc()
         return ProblemError(code, detail, retry_after_s=retry_after_s)

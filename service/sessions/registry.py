@@ -72,7 +72,9 @@ class SessionRegistry:
         self.store = SessionStore(settings, lanes, metrics, owners)
         self._settings, self._lanes, self._metrics, self._clock = settings, lanes, metrics, clock
         self._sessions: dict[str, Session] = {}
-        self._admission = Admission(settings, lanes, metrics, self.quotas, self.store, self._sessions, self.sweep)
+        self._admission = Admission(
+            settings, lanes, metrics, self.quotas, self.store, self._sessions, self.sweep, self._seconds_left
+        )
         self._tombstones: TTLCache[Tombstone] = TTLCache(settings.max_tombstones, settings.tombstone_s, clock)
         self._creations = IdempotentCreations(settings.max_idempotency_keys, settings.idempotency_s, clock)
         self._ordinal = 0
@@ -171,8 +173,7 @@ class SessionRegistry:
 
     def expires_at(self, session: Session) -> datetime:
         """Return when the session ends if it is not used again."""
-        left = min(self._idle_deadline(session), session.created + self._settings.max_session_s) - self._clock()
-        return datetime.now(UTC) + timedelta(seconds=max(0.0, left))
+        return datetime.now(UTC) + timedelta(seconds=self._seconds_left(session))
 
     async def load(self) -> None:
         """Take over the sessions that another process has left. Raises StateDirError."""
@@ -288,6 +289,11 @@ class SessionRegistry:
             return session.touched + self._settings.attached_idle_timeout_s
         assert session.options.idle_timeout_s is not None
         return session.touched + session.options.idle_timeout_s
+
+    def _seconds_left(self, session: Session) -> float:
+        """Return the seconds after which the session ends if it is not used again."""
+        end = min(self._idle_deadline(session), session.created + self._settings.max_session_s)
+        return max(0.0, end - self._clock())
 
     def _overdue(self, session: Session) -> EndReason | None:
         now = self._clock()

@@ -154,6 +154,36 @@ async def test_expired_sessions_make_room_for_new_ones() -> None:
     assert world.lanes.keys == {living.id, new.id}
 
 
+async def test_a_full_service_says_when_the_first_place_is_free() -> None:
+    """The earliest end of a session that nobody uses; a session with a stream may go on, so of it nothing is known."""
+    world = World(places=2)
+    streamed = await world.create()
+    streamed.attachment = Stream()  # type: ignore[assignment]
+    await world.create(idle_s=9)
+    world.now += 2.5
+    with pytest.raises(ProblemError, match="ends in 7 s, if not earlier") as refused:
+        await world.create()
+    assert refused.value.members == {"retry_after_s": 7}
+    world.now += 6.4
+    with pytest.raises(ProblemError) as refused:
+        await world.create()
+    assert refused.value.members == {"retry_after_s": 1.0}
+    world.now += 1
+    (await world.create()).attachment = Stream()  # type: ignore[assignment]
+    with pytest.raises(ProblemError, match="all are in use") as refused:
+        await world.create()
+    assert refused.value.members == {"retry_after_s": 10.0}
+
+
+async def test_a_key_with_all_its_sessions_is_told_when_one_of_them_ends() -> None:
+    world = World(places=3, max_sessions_per_key=1)
+    await world.create("other", idle_s=5)
+    await world.create()
+    world.now += 1
+    with pytest.raises(ProblemError, match="over-quota: at most 1 sessions of a key: one that nobody uses ends in 9 s"):
+        await world.create()
+
+
 async def test_calls_keep_session_alive_until_its_greatest_age() -> None:
     world = World()
     session = await world.create()

@@ -99,6 +99,26 @@ def test_a_bad_setting_is_refused_by_its_name(
     assert len(printed.splitlines()) == 1
 
 
+def test_localhost_alone_lets_every_page_of_the_own_machine_in() -> None:
+    """For development, where each tool serves pages at a port of its own; no other name, and no app's scheme."""
+    authenticator = Authenticator(Settings(allowed_origins="localhost"), lambda: 0.0)
+    host = {"host": "127.0.0.1:8000"}
+    for origin in ("http://localhost:5173", "https://app.localhost", "http://127.0.0.1:3000", "http://[::1]:8081"):
+        authenticator.check_browser({"origin": origin} | host)
+    strange = (
+        "http://localhost.evil.test",
+        "http://192.168.1.7:5173",
+        "capacitor://localhost",
+        "http://127.0.0.1.evil.test",
+        "null",
+    )
+    for origin in strange:
+        with pytest.raises(ProblemError, match="add the origin to MFCMT_ALLOWED_ORIGINS"):
+            authenticator.check_browser({"origin": origin} | host)
+    with pytest.raises(ProblemError, match="http://localhost:5173"):
+        Authenticator(Settings(), lambda: 0.0).check_browser({"origin": "http://localhost:5173"} | host)
+
+
 @pytest.mark.parametrize(
     "origin",
     ["capacitor://localhost", "app://localhost", "tauri://localhost", "ionic://localhost", "app://obsidian.md:81"],
