@@ -7,6 +7,7 @@ BIN := $(VENV)/bin
 SERVING := $(VENV)/.serving
 DEVELOPMENT := $(VENV)/.development
 VIDEO := $(VENV)/.video
+NPM := $(addsuffix /node_modules/.package-lock.json,tests/service/generated tests/service/jsclient tests/service/jsclient/apps)
 PEERS := .venv-peers/.installed
 BRIDGES := .venv-bridges/.installed
 DATA ?= $(or $(MFCMT_OTB_ROOT),../shared/data/otb)
@@ -18,7 +19,7 @@ BYTECODE := $(if $(PYTHONDONTWRITEBYTECODE),env -u PYTHONDONTWRITEBYTECODE PYTHO
 PYTEST := $(BYTECODE) $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 LOCK := uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q -U
 
-.PHONY: help setup warmup serve demo test test-fast test-docker fresh lint lock bench peers bridges bench-peers eval reproduce guide clean
+.PHONY: help setup warmup serve demo npm test test-fast test-docker fresh lint lock bench peers bridges bench-peers eval reproduce guide clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -48,7 +49,14 @@ serve: $(VIDEO) warmup  ## run the tracking service on http://127.0.0.1:8000
 demo: $(VIDEO) warmup  ## open the page in the browser, with the sample clip running
 	@$(BIN)/mfcmt demo
 
-test: $(DEVELOPMENT) warmup  ## run the tests, a process on each core; TESTS="tests/core -k geometry" for some
+%/node_modules/.package-lock.json: %/package-lock.json
+	@echo "npm ci in $*"
+	@cd $* && npm ci --no-audit --no-fund --ignore-scripts --loglevel=error && touch node_modules/.package-lock.json || \
+		echo "npm did not install them: the tests that need the packages of $* are skipped"
+
+npm: $(NPM)  ## install the npm packages that tests need, from their lock files
+
+test: $(DEVELOPMENT) $(NPM) warmup  ## run the tests, a process on each core; TESTS="tests/core -k geometry" for some
 	$(PYTEST) $(TESTS)
 
 test-fast: $(DEVELOPMENT) warmup  ## run the quick tests of every module, two to three minutes

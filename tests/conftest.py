@@ -27,7 +27,13 @@ settings.load_profile("busy")
 ROOT = Path(__file__).resolve().parents[1]
 OTB_ROOT = Path(os.environ.get("MFCMT_OTB_ROOT", ROOT.parent / "shared" / "data" / "otb"))
 # Files and folders of tests by their marker. Slow are many servers and long clips; the rest covers every module.
-BROWSER = ("browser", "core/test_cli_pick.py", "service/jsclient/test_browser.py")
+BROWSER = (
+    "browser",
+    "core/test_cli_pick.py",
+    "service/jsclient/test_apps.py",
+    "service/jsclient/test_browser.py",
+    "service/jsclient/test_pages.py",
+)
 CHAOS = ("chaos",)
 SLOW = (
     *BROWSER,

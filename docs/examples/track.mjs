@@ -11,18 +11,19 @@ if (parseInt(version) < 20) fail(`Node 20 or newer is needed; this is ${version}
 const [box, first, ...rest] = process.argv.slice(2);
 if (!rest.length) fail("node track.mjs x,y,w,h FRAME FRAME...");
 
-const load = (name) => import(name).catch((error) => fail(`${error.message}\nnpm install ${name}`));
-const { Client, MFCMTError } = await load("mfcmt-client");
+const SERVICE = process.env.SERVICE ?? "http://127.0.0.1:8000";
+const load = (name, from = name) => import(name).catch((error) => fail(`${error.message}\nnpm install ${from}`));
+const { Client, MFCMTError } = await load("@mfcmt/client", `${SERVICE}/static/mfcmt-client.tgz`);
 const WebSocket = globalThis.WebSocket ?? (await load("ws")).WebSocket;
 
 async function* images() {
   for (const path of rest) yield readFile(path);
 }
 
-const client = new Client({ url: process.env.SERVICE ?? "http://127.0.0.1:8000", key: process.env.KEY, WebSocket });
+const client = new Client({ url: SERVICE, key: process.env.KEY, WebSocket });
 try {
   const session = await client.createSession({ frame: await readFile(first), box: box.split(",").map(Number) });
-  const stream = session.stream({ frames: images(), mode: "lossless", codec: "msgpack" });
+  const stream = session.stream({ frames: images(), mode: "lossless" });
   stream.on("status", ({ status, error }) => console.error(status, error?.message ?? ""));
   for await (const { seq, targets } of stream) {
     const [{ box, status, reliable }] = targets;

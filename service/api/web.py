@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
+import io
+import json
+import tarfile
 from dataclasses import dataclass
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -14,15 +18,17 @@ from starlette.responses import Response
 
 router = APIRouter(include_in_schema=False)
 FOLDERS = ("page", "client")
+PACKAGE = "mfcmt-client.tgz"
+"""The JavaScript client as npm packs it, below ``/static/``: ``npm install URL`` takes it."""
 KINDS = {
     ".css": "text/css; charset=utf-8",
     ".html": "text/html; charset=utf-8",
     ".jpg": "image/jpeg",
     ".js": "text/javascript; charset=utf-8",
     ".json": "application/json",
-    ".mjs": "text/javascript; charset=utf-8",
     ".png": "image/png",
     ".svg": "image/svg+xml; charset=utf-8",
+    ".tgz": "application/gzip",
     ".ts": "text/plain; charset=utf-8",
     ".webm": "video/webm",
     ".webmanifest": "application/manifest+json",
@@ -59,7 +65,18 @@ def load() -> dict[str, Asset]:
     assets: dict[str, Asset] = {}
     for folder in FOLDERS:
         _collect(web.joinpath(folder), folder, assets)
+    assets[PACKAGE] = Asset.of(packed(web.joinpath("client")), ".tgz")
     return assets
+
+
+def packed(folder: Traversable) -> bytes:
+    """Return the npm package in ``folder`` as ``npm pack`` makes it, the same bytes each time."""
+    manifest = json.loads(folder.joinpath("package.json").read_text(encoding="utf-8"))
+    data = io.BytesIO()
+    with gzip.GzipFile(fileobj=data, mode="wb", mtime=0) as zipped, tarfile.open(fileobj=zipped, mode="w") as tar:
+        for name in sorted({"package.json", "README.md", *manifest["files"]}):
+            _add(tar, folder.joinpath(name), f"package/{name}")
+    return data.getvalue()
 
 
 @router.get("/")
@@ -72,6 +89,17 @@ async def page(request: Request) -> Response:
 async def static(request: Request, path: str) -> Response:
     """Return a file of the page or of the JavaScript client."""
     return _answer(request, path, {})
+
+
+def _add(tar: tarfile.TarFile, entry: Traversable, path: str) -> None:
+    if entry.is_dir():
+        for child in sorted(entry.iterdir(), key=lambda child: child.name):
+            _add(tar, child, f"{path}/{child.name}")
+        return
+    body = entry.read_bytes()
+    info = tarfile.TarInfo(path)
+    info.size, info.mode = len(body), 0o644
+    tar.addfile(info, io.BytesIO(body))
 
 
 def _collect(folder: Traversable, path: str, assets: dict[str, Asset]) -> None:

@@ -50,7 +50,7 @@ PLAIN: dict[Any, str] = {
     float: "number",
     str: "string",
     bool: "boolean",
-    bytes: "Uint8Array<ArrayBuffer>",
+    bytes: "Bytes",
     datetime: "string",
     Box: "Box",
     Region: "Region",

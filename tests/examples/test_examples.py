@@ -145,7 +145,7 @@ def test_the_node_example_gives_the_library_s_boxes(
     """As somebody runs it who has installed the package and `ws`."""
     server = own_server(api_keys=KEY)
     modules = tmp_path / "app" / "node_modules"
-    shutil.copytree(PACKAGE, modules / "mfcmt-client")
+    shutil.copytree(PACKAGE, modules / "@mfcmt" / "client")
     (modules / "ws").symlink_to(JSCLIENT / "node_modules" / "ws")
     example = shutil.copy(EXAMPLES / "track.mjs", tmp_path / "app")
     printed = output([node, str(example), comma(clip.box), *files], SERVICE=server.url, KEY=KEY)
@@ -170,7 +170,7 @@ def test_node_without_the_package_says_what_to_install(node: str, tmp_path: Path
     example = shutil.copy(EXAMPLES / "track.mjs", tmp_path)
     printed = run([node, str(example), "1,2,3,4", "a.jpg", "b.jpg"], cwd=tmp_path)
     assert printed.returncode == 1
-    assert printed.stderr.splitlines()[-1] == "npm install mfcmt-client"
+    assert printed.stderr.splitlines()[-1] == "npm install http://127.0.0.1:8000/static/mfcmt-client.tgz"
     assert "at " not in printed.stderr.splitlines()[-1]
     usage = run([node, str(example)], cwd=tmp_path)
     assert (usage.returncode, usage.stderr) == (1, "node track.mjs x,y,w,h FRAME FRAME...\n")
@@ -209,7 +209,7 @@ async def test_the_example_page_tracks_a_camera(clip: Clip, tmp_path: Path) -> N
                 await draw()
                 text = page.locator("p")
                 await expect(text).to_contain_text("a second", timeout=30_000)
-                await expect(page.locator("#box")).to_be_visible()
+                await expect(page.locator("svg rect")).to_be_visible()
                 before = int(re.findall(r"frame (\d+)", await text.inner_text())[0])
                 await draw()
                 for _ in range(3000):

@@ -136,7 +136,7 @@ def test_the_javascript_client_installs_from_a_path(server: OwnServer, node: str
     assert len(words) < len(call)
     installed = run([*words, "--no-audit", "--no-fund", "--offline"], cwd=tmp_path)
     assert installed.returncode == 0, installed.stderr
-    assert not (tmp_path / "node_modules" / "mfcmt-client").is_symlink()
+    assert not (tmp_path / "node_modules" / "@mfcmt" / "client").is_symlink()
     (tmp_path / "node_modules" / "ws").symlink_to(ROOT / "tests" / "service" / "jsclient" / "node_modules" / "ws")
     example = shutil.copy(ROOT / "docs" / "examples" / "track.mjs", tmp_path)
     files = [str(file) for file in sorted(FRAMES.glob("*.jpg"))]

@@ -1,7 +1,31 @@
-/// <reference lib="dom" />
-/** Client of the MFCMT tracking service, for browsers and Node. Wire objects keep the protocol's names (docs/protocol.md). */
+/**
+ * Client of the MFCMT tracking service, for browsers, Node and React Native. Wire objects keep the protocol's names
+ * (docs/protocol.md).
+ */
 
-/** `[x, y, w, h]`: pixels of the whole frame as it is sent, 0-based, top-left corner, `w, h > 0`. */
+/**
+ * What a global class makes, where the project's libraries have it (DOM, `@types/node`); else never. So these types need no
+ * library beside ECMAScript's.
+ */
+export type Instance<Name extends string> = Name extends string
+  ? typeof globalThis extends { [name in Name]: { prototype: infer Made } }
+    ? Made
+    : never
+  : never;
+/** Bytes of their own, which a Blob may be made of in every version of TypeScript. */
+export type Bytes = Uint8Array & { readonly buffer: ArrayBuffer };
+/** An AbortSignal. */
+export interface Signal {
+  readonly aborted: boolean;
+  readonly reason?: any;
+  addEventListener(type: "abort", listener: () => void, options?: any): void;
+  removeEventListener(type: "abort", listener: () => void): void;
+}
+
+/**
+ * `[x, y, w, h]`: pixels of the whole frame, 0-based, top-left corner, `w, h > 0`; of the frame as it is sent, or of its
+ * source (`ClientOptions.boxesIn`).
+ */
 export type Box = [number, number, number, number];
 /** `[x, y, w, h]` in whole pixels of the frame. */
 export type Region = [number, number, number, number];
@@ -88,7 +112,7 @@ export interface Target {
    */
   confidence: number | null;
   /** Response maps as gray PNG, base64 in JSON, where `maps` was asked for. */
-  maps?: Record<string, Uint8Array<ArrayBuffer>> | null;
+  maps?: Record<string, Bytes> | null;
 }
 
 /** Where the service spent its time, in milliseconds of the monotonic clock. */
@@ -268,16 +292,11 @@ export interface SessionOptions {
 // End of the generated part
 
 /** An encoded still image. */
-export type Encoded = Blob | ArrayBuffer | ArrayBufferView;
+export type Encoded = Instance<"Blob"> | ArrayBuffer | ArrayBufferView;
 /** Pixels that the client encodes (browsers only). */
-export type Pixels =
-  | HTMLVideoElement
-  | HTMLImageElement
-  | HTMLCanvasElement
-  | OffscreenCanvas
-  | ImageBitmap
-  | ImageData
-  | VideoFrame;
+export type Pixels = Instance<
+  "HTMLVideoElement" | "HTMLImageElement" | "HTMLCanvasElement" | "OffscreenCanvas" | "ImageBitmap" | "ImageData" | "VideoFrame"
+>;
 export type Source = Encoded | Pixels;
 
 /**
@@ -315,11 +334,24 @@ export interface ClientOptions {
   url?: string;
   /** An API key. Streams then fetch a ticket for every handshake: keys never appear in a URL. */
   key?: string;
-  fetch?: typeof fetch;
-  /** A WebSocket class; needed in Node 20 (npm `ws`), there from the start in browsers and Node 22. */
+  fetch?: (url: string, init?: any) => Promise<any>;
+  /** A WebSocket class; needed in Node 20 (npm `ws`), there from the start in browsers, React Native and Node 22. */
   WebSocket?: new (url: string, protocols?: string[]) => unknown;
   /** Limit of one HTTP call or handshake. Default 30,000. */
   timeoutMs?: number;
+  /** For streams with the codec `msgpack`: a library such as `@msgpack/msgpack`. */
+  msgpack?: { encode(value: unknown): Uint8Array; decode(bytes: ArrayBuffer): unknown };
+  /**
+   * Where the worker that encodes pixels is served, built from `@mfcmt/client/worker`. Needed only where the page's
+   * Content-Security-Policy forbids `blob:` and the bundler leaves the worker's file behind (esbuild).
+   */
+  workerUrl?: string | Instance<"URL">;
+  /**
+   * What boxes, regions and sizes are pixels of, those given and those told: the frames as they are sent (`sent`, the
+   * default), or the video, canvas or image that they were made from (`source`), whatever `maxSide` made of it.
+   * An encoded image is its own source. Trajectories as text, and `Stream.info`, are always in pixels as sent.
+   */
+  boxesIn?: "sent" | "source";
 }
 
 /** How pixels become an image. */
@@ -333,16 +365,21 @@ export interface EncodeOptions {
 }
 
 export interface CreateOptions extends EncodeOptions {
-  /** The first frame. Boxes are in its pixels as it is sent: `fittedSize` tells its size where `maxSide` scales it. */
+  /**
+   * The first frame. Unless `boxesIn` is `source`, boxes are in its pixels as it is sent: `fittedSize` tells its size
+   * where `maxSide` scales it.
+   */
   frame: Source;
   box?: Box | number[];
   boxes?: (Box | number[])[];
   options?: SessionOptions;
   /** Repeating the call with the same key and body gives the same session. Random by default. */
   idempotencyKey?: string;
-  signal?: AbortSignal;
+  signal?: Signal;
   /** How long to ask again while the service has no ready lane or no place. Default 30,000. */
   waitMs?: number;
+  /** End the session when the page is left or reloaded. By default true in a page. */
+  endWithPage?: boolean;
 }
 
 export interface StreamOptions extends EncodeOptions {
@@ -364,7 +401,7 @@ export interface StreamOptions extends EncodeOptions {
   reconnectForMs?: number;
   /** A connection that is silent for this long while frames are unanswered counts as broken. Default 10,000. */
   stallMs?: number;
-  signal?: AbortSignal;
+  signal?: Signal;
 }
 
 export interface SendOptions {
@@ -488,7 +525,7 @@ export class Stream {
    */
   send(source: Source, options?: SendOptions): Promise<number | null>;
   /** Send each frame that a playing video shows, at most `fps` a second, until the function returned is called. */
-  follow(video: HTMLVideoElement, options?: { fps?: number }): () => void;
+  follow(video: Instance<"HTMLVideoElement">, options?: { fps?: number }): () => void;
   /** Start another target on the newest frame, or (`onNext`) on the next one sent. */
   add(box: Box | number[], options?: { onNext?: boolean }): Promise<TargetsMessage>;
   /** Put a target right on the newest frame, or (`onNext`) on the next one sent. */
@@ -521,7 +558,7 @@ export class Session {
   trajectory(options?: { format?: "json"; after?: number; target?: number }): Promise<PastResult[]>;
   trajectory(options: { format: Exclude<TrajectoryFormat, "json">; after?: number; target?: number }): Promise<string>;
   /** The session's whole state, for `Client.restoreSession`. */
-  snapshot(): Promise<Uint8Array<ArrayBuffer>>;
+  snapshot(): Promise<Bytes>;
   /** Admits one handshake of this session within `ttlS` seconds. */
   ticket(ttlS?: number): Promise<Ticket>;
   stream(options?: StreamOptions): Stream;
@@ -530,9 +567,11 @@ export class Session {
 export class Client {
   constructor(options?: ClientOptions);
   readonly url: string;
+  /** What boxes, regions and sizes are pixels of. */
+  readonly boxesIn: "sent" | "source";
   createSession(options: CreateOptions): Promise<Session>;
   /** Start a session where the one of the snapshot was. */
-  restoreSession(snapshot: Encoded, options?: { signal?: AbortSignal; waitMs?: number }): Promise<Session>;
+  restoreSession(snapshot: Encoded, options?: { signal?: Signal; waitMs?: number }): Promise<Session>;
   getSession(id: string): Promise<Session>;
   deleteSession(id: string): Promise<void>;
   /** The caller's own sessions, page by page. */
@@ -544,11 +583,11 @@ export class Client {
   stream(id: string, options?: StreamOptions): Stream;
 }
 
-/** The image of a frame as a session or stream would send it. */
+/** The image of a frame as a session or stream would send it, its size, and the size of its source. */
 export function encodeFrame(
   source: Pixels,
   options?: EncodeOptions & { region?: Region },
-): Promise<{ blob: Blob; size: Size }>;
+): Promise<{ blob: Instance<"Blob">; size: Size; sourceSize: Size }>;
 /** The size of a `width`×`height` frame when its longer side may be `maxSide` at most. */
 export function fittedSize(width: number, height: number, maxSide?: number | null): Size;
 /** Whether `regions: "auto"` sends regions here: on a mobile device, or in a browser that is to save data. */

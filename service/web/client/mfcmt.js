@@ -1,9 +1,12 @@
-/** Client of the MFCMT tracking service, for browsers and Node. See README.md and mfcmt.d.ts. */
+/** Client of the MFCMT tracking service, for browsers, Node and bundlers. See README.md and mfcmt.d.ts. */
 
-export { Client, Session } from "./lib/client.js";
-export { MFCMTError } from "./lib/errors.js";
-export { encodeFrame, regionsByDefault } from "./lib/frame.js";
-export { fittedSize } from "./lib/pixels.js";
-export { Stream } from "./lib/stream.js";
+import { Client as Core } from "./lib/client.js";
+import { openWorker } from "./lib/worker.js";
 
-export const VERSION = "0.1.0";
+export * from "./lib/exports.js";
+
+export class Client extends Core {
+  openWorker() {
+    return openWorker(this.workerUrl);
+  }
+}

@@ -15,6 +15,7 @@ from tests.chromium import FLAGS
 
 HERE = Path(__file__).parent
 PACKAGE = Path(__file__).resolve().parents[3] / "service" / "web" / "client"
+MSGPACK = HERE / "node_modules" / "@msgpack" / "msgpack" / "dist.esm"
 CAMERA_FLAGS = [*FLAGS, "--use-fake-ui-for-media-stream", "--use-fake-device-for-media-stream"]
 
 
@@ -65,9 +66,9 @@ class _Handler(SimpleHTTPRequestHandler):
             super().do_GET()
 
     def translate_path(self, path: str) -> str:
-        client = "/static/client/"
-        if path.startswith(client):
-            return str(PACKAGE / path.removeprefix(client))
+        for prefix, folder in (("/static/client/", PACKAGE), ("/msgpack/", MSGPACK)):
+            if path.startswith(prefix):
+                return str(folder / path.removeprefix(prefix))
         return str(self._pages.root / path.partition("?")[0].lstrip("/"))
 
     def end_headers(self) -> None:

@@ -12,7 +12,8 @@ const asData = (error) => {
 const refusal = (promise) => promise.then(() => ({ code: "not refused" }), asData);
 async function loaded(given) {
   const blobs = await Promise.all(given.frames.map(async (url) => (await fetch(url)).blob()));
-  const client = new Client({ url: given.url, key: given.key });
+  const msgpack = given.stream?.codec === "msgpack" ? await import("/msgpack/index.mjs") : undefined;
+  const client = new Client({ url: given.url, key: given.key, msgpack, ...given.client });
   return { blobs, client };
 }
 
@@ -89,7 +90,7 @@ const scenarios = {
     video.muted = true;
     video.srcObject = await navigator.mediaDevices.getUserMedia({ video: true });
     await video.play();
-    const client = new Client({ url: given.url });
+    const client = new Client({ url: given.url, msgpack: await import("/msgpack/index.mjs") });
     const session = await client.createSession({ frame: video, box: given.box });
     const stream = session.stream(given.stream);
     const stop = stream.follow(video, { fps: given.fps });

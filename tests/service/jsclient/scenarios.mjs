@@ -1,5 +1,6 @@
 // What the tests do with the client in Node: `node scenarios.mjs NAME`, particulars as JSON on stdin, JSON lines out.
 import { readFile } from "node:fs/promises";
+import * as msgpack from "@msgpack/msgpack";
 import { WebSocket as NodeWebSocket } from "ws";
 import { Client, MFCMTError } from "../../../service/web/client/mfcmt.js";
 
@@ -11,6 +12,7 @@ const client = new Client({
   key: given.key,
   timeoutMs: given.timeoutMs ?? 20_000,
   WebSocket: globalThis.WebSocket ?? NodeWebSocket,
+  msgpack,
 });
 const create = (more = {}) => client.createSession({ frame: frames[0], box: given.box, ...more });
 const sleep = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
@@ -284,7 +286,10 @@ const scenarios = {
     for (const box of boxes) refusals.push(await refusal(box));
     stream.close();
     await session.close();
-    return { urls: told, right, key: await wrong(() => new Client({ key: "from-a-file\n" })), boxes: refusals };
+    const key = await wrong(() => new Client({ key: "from-a-file\n" }));
+    const boxesIn = await wrong(() => new Client({ boxesIn: "screen" }));
+    const codec = await wrong(() => new Client({ url: given.url, WebSocket: NodeWebSocket }).stream("x", { codec: "msgpack" }));
+    return { urls: told, right, key, boxesIn, codec, boxes: refusals };
   },
 
   /** The key is the back-end's; the stream gets along with tickets. */

@@ -35,7 +35,9 @@ const instances = {
 };
 const inherited = new Set(["name", "message", "stack", "cause", "constructor"]);
 // The rest is between the client's own modules.
-const internal = { Client: ["timeoutMs", "key", "WebSocket", "streamUrl", "json", "call", "missed"] };
+const internal = {
+  Client: ["timeoutMs", "key", "WebSocket", "msgpack", "workerUrl", "streamUrl", "json", "call", "missed", "image", "scale", "openWorker"],
+};
 
 const present = {};
 for (const [name, value] of Object.entries(client)) {
@@ -45,7 +47,8 @@ for (const [name, value] of Object.entries(client)) {
     continue;
   }
   const symbols = value.prototype[Symbol.asyncIterator] ? ["[Symbol.asyncIterator]"] : [];
-  const names = [...own(instance), ...own(value.prototype), ...symbols];
-  present[name] = names.filter((each) => !inherited.has(each) && !internal[name]?.includes(each)).sort();
+  const names = [...own(instance), ...own(value.prototype), ...own(Object.getPrototypeOf(value.prototype)), ...symbols];
+  const ours = names.filter((each) => !inherited.has(each) && !(each in Object.prototype) && !internal[name]?.includes(each));
+  present[name] = [...new Set(ours)].sort();
 }
 console.log(JSON.stringify({ declared, present }));

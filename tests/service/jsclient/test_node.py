@@ -329,6 +329,8 @@ async def test_what_is_given_wrongly_is_told_before_anything_is_sent(server: Own
         assert "secret" not in report["urls"][url]["detail"]
     assert report["right"] == list(right.values())
     assert "from-a-file" not in report["key"]["detail"]
+    assert report["boxesIn"]["detail"] == 'boxesIn is one of "sent" and "source", not "screen"'
+    assert "npm install @msgpack/msgpack" in report["codec"]["detail"]
     for refused in report["boxes"]:
         assert (refused["code"], refused["status"]) == ("bad-request", 0)
         assert "a box is four numbers, [x, y, w, h], not" in refused["detail"]

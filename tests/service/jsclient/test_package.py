@@ -1,22 +1,23 @@
-"""The client as a package: its types, its contents, what it vendors."""
+"""The client as a package: its types, its contents, the archive that the service serves."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 import shutil
 import subprocess
+import tarfile
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from service.api import web
 from tests.conftest import require
 from tests.docs import typescript
 
 from .conftest import HERE, PACKAGE
-
-VENDOR = PACKAGE / "vendor"
 
 
 def output(*call: str, cwd: Path = HERE) -> str:
@@ -25,9 +26,44 @@ def output(*call: str, cwd: Path = HERE) -> str:
     return done.stdout
 
 
-def test_types_fit_what_people_write(node: str) -> None:
-    """Strict, with the checks of the declaration file itself."""
-    assert output(node, "node_modules/typescript/bin/tsc", "-p", ".") == ""
+DOM = ["dom", "dom.iterable"]
+# Versions of TypeScript, the oldest and the newest that are promised among them, by what is checked with each.
+EVERY = ("typescript-5.0", "typescript-5.4", "typescript", "typescript-7.0")
+CHECKED = [
+    *(("bare.ts", version, [], []) for version in EVERY),
+    *(("page.ts", version, DOM, []) for version in EVERY),
+    *((name, version, [], ["node"]) for name in ("bare.ts",) for version in EVERY[2:]),
+    *(("app.tsx", version, DOM, []) for version in EVERY[2:]),
+]
+
+
+@pytest.mark.parametrize(("name", "version", "libraries", "types"), CHECKED)
+def test_types_fit_what_people_write(
+    node: str, tmp_path: Path, name: str, version: str, libraries: list[str], types: list[str]
+) -> None:
+    """Strict, with the checks of the declaration files themselves; a project without the DOM gets none."""
+    modules = tmp_path / "node_modules"
+    (modules / "@mfcmt").mkdir(parents=True)
+    shutil.copytree(PACKAGE, modules / "@mfcmt" / "client")
+    for there in (HERE / "node_modules").iterdir():
+        (modules / there.name).symlink_to(there)
+    shutil.copy(HERE / "types" / name, tmp_path)
+    (tmp_path / "package.json").write_text('{"type": "module"}')
+    options = {
+        "target": "es2022",
+        "lib": ["es2022", *libraries],
+        "types": types,
+        "module": "nodenext",
+        "moduleResolution": "nodenext",
+        **({"jsx": "react-jsx"} if name.endswith(".tsx") else {}),
+        "strict": True,
+        "noUncheckedIndexedAccess": True,
+        "exactOptionalPropertyTypes": True,
+        "noEmit": True,
+        "skipLibCheck": False,
+    }
+    (tmp_path / "tsconfig.json").write_text(json.dumps({"compilerOptions": options, "files": [name]}))
+    assert output(node, f"node_modules/{version}/bin/tsc", "-p", ".", cwd=tmp_path) == ""
 
 
 def test_types_name_what_is_there(node: str) -> None:
@@ -35,48 +71,67 @@ def test_types_name_what_is_there(node: str) -> None:
     assert names["declared"] == names["present"]
 
 
-def test_the_npm_package_is_complete_and_can_be_imported(node: str, tmp_path: Path) -> None:
-    """What would be published is complete and has nothing else in it; it can be imported from there."""
-    npm = shutil.which("npm")
-    require(npm is not None, "no npm")
-    assert npm is not None
-    packed: dict[str, Any] = json.loads(output(npm, "pack", "--dry-run", "--json", "--silent", cwd=PACKAGE))[0]
-    listed = {file["path"] for file in packed["files"]}
-    there = {str(path.relative_to(PACKAGE)) for path in PACKAGE.rglob("*") if path.is_file()}
-    assert listed == there
+def packed(npm: str) -> set[str]:
+    """The files that npm packs."""
+    told: dict[str, Any] = json.loads(output(npm, "pack", "--dry-run", "--json", "--silent", cwd=PACKAGE))
+    (one,) = told if isinstance(told, list) else told.values()
+    return {file["path"] for file in one["files"]}
+
+
+@pytest.fixture
+def npm() -> str:
+    found = shutil.which("npm")
+    require(found is not None, "no npm")
+    assert found is not None
+    return found
+
+
+def test_the_npm_package_is_complete(npm: str) -> None:
+    """What would be published is complete and has nothing else in it; it needs no other package."""
+    listed = packed(npm)
+    assert listed == {str(path.relative_to(PACKAGE)) for path in PACKAGE.rglob("*") if path.is_file()}
     manifest = json.loads((PACKAGE / "package.json").read_text())
-    assert not any("ependencies" in field for field in manifest)
+    assert manifest["name"] == "@mfcmt/client"
+    assert "dependencies" not in manifest
+    assert all(manifest["peerDependenciesMeta"][name]["optional"] for name in manifest["peerDependencies"])
     assert manifest["version"] == version("mfcmt")
-    assert f'VERSION = "{manifest["version"]}"' in (PACKAGE / "mfcmt.js").read_text()
-    for field in (manifest["main"], manifest["types"], *manifest["exports"]["."].values()):
+    assert f'VERSION = "{manifest["version"]}"' in (PACKAGE / "lib" / "exports.js").read_text()
+    named = [
+        entry for way in manifest["exports"].values() for entry in (way.values() if isinstance(way, dict) else [way])
+    ]
+    for field in (manifest["main"], manifest["types"], manifest["react-native"], *named):
         assert field.removeprefix("./") in listed
-    installed = tmp_path / "node_modules" / "mfcmt-client"
-    shutil.copytree(PACKAGE, installed)
-    (tmp_path / "main.mjs").write_text(
-        'import * as all from "mfcmt-client"; console.log(Object.keys(all).sort().join());'
-    )
+
+
+def test_the_service_serves_what_npm_packs(npm: str, node: str, tmp_path: Path) -> None:
+    """The very files, in an archive that npm installs and Node imports; React Native's entry has the same names."""
+    archive = tmp_path / web.PACKAGE
+    archive.write_bytes(web.load()[web.PACKAGE].body)
+    with tarfile.open(archive) as tar:
+        bodies = {one.name.removeprefix("package/"): tar.extractfile(one).read() for one in tar}  # type: ignore[union-attr]
+    assert set(bodies) == packed(npm)
+    assert all(body == (PACKAGE / name).read_bytes() for name, body in bodies.items())
+    assert web.load()[web.PACKAGE].body == archive.read_bytes()
+    app = tmp_path / "app"
+    app.mkdir()
+    (app / "package.json").write_text('{"private": true, "type": "module"}')
+    output(npm, "install", "--offline", "--no-audit", "--no-fund", "--omit=peer", str(archive), cwd=app)
+    told = "console.log(Object.keys(all).sort().join());"
+    (app / "main.mjs").write_text(f'import * as all from "@mfcmt/client"; {told}')
     expected = "Client,MFCMTError,Session,Stream,VERSION,encodeFrame,fittedSize,regionsByDefault"
-    assert output(node, "main.mjs", cwd=tmp_path).strip() == expected
+    assert output(node, "main.mjs", cwd=app).strip() == expected
+    assert output(node, "--conditions=react-native", "main.mjs", cwd=app).strip() == expected
 
 
-def test_vendored_files_are_those_of_the_package() -> None:
-    digests = dict(
-        reversed(line.split()) for line in re.findall(r"^[0-9a-f]{64} .*$", (VENDOR / "README.md").read_text(), re.M)
-    )
-    there = {str(path.relative_to(VENDOR)) for path in (VENDOR / "msgpack").rglob("*") if path.is_file()}
-    assert set(digests) == there
-    for name, digest in digests.items():
-        assert hashlib.sha256((VENDOR / name).read_bytes()).hexdigest() == digest
-    assert "msgpack/LICENSE" in digests
-
-
-def test_no_module_is_long_or_reaches_outside() -> None:
+def test_no_module_reaches_outside() -> None:
     """Imports stay in the folder, so that it can be served from anywhere under `script-src 'self'`."""
-    for path in [PACKAGE / "mfcmt.js", *(PACKAGE / "lib").glob("*.js")]:
+    for path in [*PACKAGE.glob("*.js"), *(PACKAGE / "lib").glob("*.js")]:
         text = path.read_text()
+        if path.name == "react.js":
+            text = text.replace('from "react"', "")
         for wanted in re.findall(r'(?:from|import\(|new URL\()\s*"([^"]+)"', text):
             assert (path.parent / wanted).resolve().is_relative_to(PACKAGE)
-        assert not re.search(r"\beval\(|new Function|https?://(?!127\.0\.0\.1)", text)
+        assert not re.search(r"\beval\(|new Function|https?://(?!127\.0\.0\.1|www\.w3\.org)", text)
 
 
 def test_the_types_are_those_of_the_protocol() -> None:

@@ -1,45 +1,53 @@
-/** The client of a service: sessions over HTTP, and the streams that they have. */
+/** The client of a service: makes and finds sessions, and makes the calls of all of them. */
 
-import { apiKey, baseUrl, numbers } from "./arguments.js";
+import { apiKey, baseUrl, numbers, oneOf, pageOrigin, query } from "./arguments.js";
+import { withMapsAsBytes } from "./codec.js";
 import { bytesOf, isEncoded } from "./encoder.js";
-import { MFCMTError, aborted, connectionLost, ofResponse } from "./errors.js";
+import { MFCMTError, aborted, connectionLost, ofResponse, originRefused } from "./errors.js";
 import { encodeFrame } from "./frame.js";
-import { packed, withMapsAsBytes } from "./codec.js";
+import { PageSessions } from "./page-sessions.js";
+import { Scale, UNSCALED } from "./scale.js";
+import { Session, asJson, asMessagePack, path } from "./session.js";
 import { Stream } from "./stream.js";
 
 const SNAPSHOT = "application/vnd.mfcmt.snapshot";
 // How often a call that may be repeated is tried while the service cannot be reached.
 const ATTEMPTS = 3;
 const RETRY_DELAY_MS = 100;
-// How long a creation is tried again while the service has no ready lane or no place.
+// How long a creation is tried again while the service has no ready lane or no place, and how often at least: a place that
+// its client gives up is free long before the service could foresee it.
 const WAIT_MS = 30_000;
-
-const path = (id) => `/v1/sessions/${encodeURIComponent(id)}`;
+const ASK_AGAIN_MS = 1000;
 
 export class Client {
   #headers;
   #fetch;
+  #answered = false;
+  #pageSessions = new PageSessions((id) => this.call("DELETE", path(id), { keepalive: true }).catch(() => {}));
 
-  constructor({ url, key, fetch, WebSocket, timeoutMs = 30_000 } = {}) {
+  constructor({ url, key, fetch, WebSocket, timeoutMs = 30_000, msgpack, workerUrl, boxesIn = "sent" } = {}) {
     this.url = baseUrl(url);
     this.timeoutMs = timeoutMs;
+    this.boxesIn = oneOf("boxesIn", ["sent", "source"], boxesIn);
     Object.defineProperty(this, "key", { value: apiKey(key) }); // not enumerable, so that no log shows it
     this.#headers = this.key ? { Authorization: `Bearer ${this.key}` } : {};
     this.#fetch = fetch ?? globalThis.fetch.bind(globalThis);
     Object.defineProperty(this, "WebSocket", { value: WebSocket ?? globalThis.WebSocket });
+    Object.defineProperty(this, "msgpack", { value: msgpack });
+    Object.defineProperty(this, "workerUrl", { value: workerUrl });
   }
 
-  async createSession({ frame, box, boxes, options, idempotencyKey, signal, waitMs, ...encoding }) {
-    const form = new FormData();
-    form.append("frame", await this.#image(frame, encoding), "frame");
-    if (box) form.append("box", JSON.stringify(numbers(box)));
-    if (boxes) form.append("boxes", JSON.stringify(Array.from(boxes, numbers)));
-    if (options) form.append("options", JSON.stringify(options));
-    return this.#create({ body: form, signal, waitMs }, idempotencyKey);
+  async createSession({ frame, box, boxes, options, idempotencyKey, signal, waitMs, endWithPage, ...encoding }) {
+    const { bytes, size, sourceSize } = await this.image(frame, encoding);
+    const scale = this.scale(sourceSize, size);
+    const sent = (each) => scale.toSent(numbers(each));
+    const body = { frame: bytes, box: box && sent(box), boxes: boxes && Array.from(boxes, sent), options };
+    return this.#create({ ...asMessagePack(body), signal, waitMs }, { idempotencyKey, endWithPage, sourceSize });
   }
 
-  async restoreSession(snapshot, { signal, waitMs } = {}) {
-    return this.#create({ body: await bytesOf(snapshot), headers: { "Content-Type": SNAPSHOT }, signal, waitMs });
+  async restoreSession(snapshot, { signal, waitMs, endWithPage } = {}) {
+    const call = { body: await bytesOf(snapshot), headers: { "Content-Type": SNAPSHOT }, signal, waitMs };
+    return this.#create(call, { endWithPage });
   }
 
   async getSession(id) {
@@ -48,13 +56,13 @@ export class Client {
 
   async deleteSession(id) {
     await this.call("DELETE", path(id));
+    this.#pageSessions.delete(id);
   }
 
   async *sessions() {
     let after = null;
     do {
-      const query = after === null ? "" : `?after=${encodeURIComponent(after)}`;
-      const page = await this.json("GET", `/v1/sessions${query}`);
+      const page = await this.json("GET", `/v1/sessions${query({ after })}`);
       yield* page.sessions;
       after = page.next;
     } while (after !== null);
@@ -66,21 +74,39 @@ export class Client {
 
   /** Resolves with the results after a `seq`, for a stream whose connection broke. */
   async missed(id, after, more) {
-    return (await this.json("GET", `${path(id)}/trajectory?after=${after}`, more)).results;
+    return (await this.json("GET", `${path(id)}/trajectory${query({ after })}`, more)).results;
   }
 
   capabilities() {
     return this.json("GET", "/v1/capabilities");
   }
 
-  stream(id, options = {}) {
+  stream(id, options = {}, sourceSize = null) {
     if (!this.WebSocket) throw new MFCMTError({ code: "no-websocket", detail: "give the Client a WebSocket class" });
-    return new Stream(this, id, options);
+    return new Stream(this, id, options, sourceSize);
   }
 
   /** Return the URL of a session's stream. */
-  streamUrl(id, query) {
-    return `ws${this.url.slice("http".length)}${path(id)}/stream?${query}`;
+  streamUrl(id, members) {
+    return `ws${this.url.slice("http".length)}${path(id)}/stream${query(members)}`;
+  }
+
+  /** Resolves with a worker that encodes pixels; null where there is none. */
+  async openWorker() {
+    return null;
+  }
+
+  /** Return how boxes of a frame relate to its source, of which the size may not be known. */
+  scale(sourceSize, sentSize) {
+    const same = !sourceSize || (sourceSize[0] === sentSize[0] && sourceSize[1] === sentSize[1]);
+    return same || this.boxesIn === "sent" ? UNSCALED : new Scale(sourceSize, sentSize);
+  }
+
+  /** Resolves with a frame as it is sent: `{bytes, size, sourceSize}`, without sizes where it is encoded already. */
+  async image(frame, encoding) {
+    if (isEncoded(frame)) return { bytes: await bytesOf(frame), size: null, sourceSize: null };
+    const { blob, ...sizes } = await encodeFrame(frame, encoding);
+    return { bytes: await bytesOf(blob), ...sizes };
   }
 
   /** Make one HTTP call; resolves with the decoded answer. */
@@ -89,7 +115,7 @@ export class Client {
   }
 
   /** Make one HTTP call, again while the service cannot be reached if the call may be repeated. */
-  async call(method, where, { headers, body, signal, timeoutMs = this.timeoutMs } = {}, read = (response) => response.arrayBuffer()) {
+  async call(method, where, { headers, body, signal, keepalive, timeoutMs = this.timeoutMs } = {}, read = () => undefined) {
     const attempts = method !== "POST" || headers?.["Idempotency-Key"] ? ATTEMPTS : 1;
     for (let attempt = 1; ; attempt += 1) {
       const limit = new AbortController();
@@ -98,110 +124,67 @@ export class Client {
       signal?.addEventListener("abort", abort);
       try {
         if (signal?.aborted) throw aborted(signal.reason);
-        const request = { method, headers: { ...this.#headers, ...headers }, body, signal: limit.signal };
+        const request = { method, headers: { ...this.#headers, ...headers }, body, keepalive, signal: limit.signal };
         const response = await this.#fetch(this.url + where, { cache: "no-store", ...request });
+        this.#answered = true;
         if (!response.ok) throw await ofResponse(response);
         return await read(response);
       } catch (failed) {
         if (failed instanceof MFCMTError) throw failed;
         if (signal?.aborted) throw aborted(signal.reason);
-        if (attempt === attempts) throw connectionLost(`${this.url} cannot be reached`, failed);
+        if (await this.#refusesThisPage()) throw originRefused(this.url, pageOrigin(), failed);
+        if (attempt === attempts) throw connectionLost(this.#unreachable(), failed);
       } finally {
         clearTimeout(timer);
         signal?.removeEventListener("abort", abort);
       }
-      await new Promise((resolve) => setTimeout(resolve, RETRY_DELAY_MS * 2 ** attempt));
+      await pause(RETRY_DELAY_MS * 2 ** attempt);
     }
   }
 
-  /** Resolves with a frame as a Blob. */
-  async #image(frame, encoding) {
-    if (!isEncoded(frame)) return (await encodeFrame(frame, encoding)).blob;
-    return frame instanceof Blob ? frame : new Blob([await bytesOf(frame)]);
+  /**
+   * Whether the service answers but hides its answers from the page that this runs in. Only until the first answer that
+   * could be read: later it is a proxy that answers in the service's place.
+   */
+  async #refusesThisPage() {
+    if (this.#answered || !this.#isForeign()) return false;
+    try {
+      await this.#fetch(`${this.url}/livez`, { mode: "no-cors", cache: "no-store" });
+      return true;
+    } catch {
+      return false;
+    }
+  }
+
+  #unreachable() {
+    const origin = pageOrigin();
+    if (!this.#isForeign()) return `${this.url} cannot be reached`;
+    return `${this.url} cannot be reached from this page. If it runs, see whether the page's Content-Security-Policy ` +
+      `(connect-src) allows its address, and MFCMT_ALLOWED_ORIGINS of the service this page's origin, ${origin}`;
+  }
+
+  #isForeign() {
+    const origin = pageOrigin();
+    return origin !== null && !`${this.url}/`.startsWith(`${origin}/`);
   }
 
   /** Create a session; again while the service says that it has no ready lane or no place. */
-  async #create({ headers, waitMs = WAIT_MS, ...request }, idempotencyKey = madeUpKey()) {
+  async #create({ headers, waitMs = WAIT_MS, ...request }, { idempotencyKey = madeUpKey(), endWithPage, sourceSize }) {
     const call = { headers: { ...headers, "Idempotency-Key": idempotencyKey }, ...request };
     const giveUpAt = performance.now() + waitMs;
     for (;;) {
       try {
-        return new Session(this, await this.json("POST", "/v1/sessions", call));
+        const session = new Session(this, await this.json("POST", "/v1/sessions", call), sourceSize);
+        if (endWithPage ?? typeof document !== "undefined") this.#pageSessions.add(session.id);
+        return session;
       } catch (refused) {
         const left = giveUpAt - performance.now();
         if (refused.status !== 503 || refused.retryAfter === null || left <= 0) throw refused;
-        await pause(Math.min(refused.retryAfter * 1000, left), request.signal);
+        await pause(Math.min(refused.retryAfter * 1000, ASK_AGAIN_MS, left), request.signal);
       }
     }
   }
 }
-
-export class Session {
-  #client;
-  #path;
-
-  constructor(client, info) {
-    this.#client = client;
-    this.#path = path(info.id);
-    this.info = info;
-  }
-
-  get id() {
-    return this.info.id;
-  }
-
-  async refresh() {
-    this.info = await this.#client.json("GET", this.#path);
-    return this.info;
-  }
-
-  close() {
-    return this.#client.deleteSession(this.id);
-  }
-
-  async track(frame, { ts, region, seq, ...encoding } = {}) {
-    const image = isEncoded(frame) ? frame : (await encodeFrame(frame, { region, ...encoding })).blob;
-    const fields = { frame: await bytesOf(image), ts, region, seq };
-    const body = await packed(Object.fromEntries(Object.entries(fields).filter(([, value]) => value !== undefined)));
-    const headers = { "Content-Type": "application/msgpack" };
-    return this.#client.json("POST", `${this.#path}/frames`, { headers, body });
-  }
-
-  async addTarget(box) {
-    return this.#client.json("POST", `${this.#path}/targets`, asJson({ box: numbers(box) }));
-  }
-
-  async correctTarget(target, box) {
-    return this.#client.json("PUT", `${this.#path}/targets/${target}`, asJson({ box: numbers(box) }));
-  }
-
-  async removeTarget(target) {
-    await this.#client.call("DELETE", `${this.#path}/targets/${target}`);
-  }
-
-  async trajectory({ format = "json", after, target } = {}) {
-    const query = new URLSearchParams({ format });
-    if (after !== undefined) query.set("after", after);
-    if (target !== undefined) query.set("target", target);
-    const where = `${this.#path}/trajectory?${query}`;
-    if (format === "json") return (await this.#client.json("GET", where)).results;
-    return this.#client.call("GET", where, {}, (response) => response.text());
-  }
-
-  async snapshot() {
-    return new Uint8Array(await this.#client.call("GET", `${this.#path}/snapshot`));
-  }
-
-  ticket(ttlS) {
-    return this.#client.ticket(this.id, ttlS);
-  }
-
-  stream(options = {}) {
-    return this.#client.stream(this.id, options);
-  }
-}
-
-const asJson = (body) => ({ headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) });
 
 /** Resolves after `ms`, or when the signal is aborted. */
 function pause(ms, signal) {
@@ -217,7 +200,12 @@ function pause(ms, signal) {
   });
 }
 
-/** Return a random key; `crypto.randomUUID` exists on secure origins only, and a phone may test over plain HTTP. */
+/**
+ * Return a key that nobody has used before; it need not be secret. `crypto.randomUUID` exists on secure origins only, and a
+ * phone may test over plain HTTP; React Native has no `crypto`.
+ */
 function madeUpKey() {
-  return Array.from(crypto.getRandomValues(new Uint8Array(16)), (byte) => byte.toString(16).padStart(2, "0")).join("");
+  const digit = () => Math.floor(Math.random() * 256);
+  const bytes = globalThis.crypto?.getRandomValues?.(new Uint8Array(16)) ?? Uint8Array.from({ length: 16 }, digit);
+  return Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
 }

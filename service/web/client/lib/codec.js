@@ -1,5 +1,7 @@
 /** The two subprotocols: how messages look on a WebSocket. */
 
+import { wrong } from "./errors.js";
+
 const json = {
   subprotocol: "mfcmt.v1.json",
   frame(bytes, meta) {
@@ -11,27 +13,25 @@ const json = {
   },
 };
 
-function msgpack({ encode, decode }) {
-  return {
-    subprotocol: "mfcmt.v1.msgpack",
-    frame(bytes, meta) {
-      return [encode({ type: "frame", frame: bytes, ...meta })];
-    },
-    control: (message) => encode(message),
-    read(data) {
-      return decode(data);
-    },
-  };
-}
+const msgpack = ({ encode, decode }) => ({
+  subprotocol: "mfcmt.v1.msgpack",
+  frame(bytes, meta) {
+    return [encode({ type: "frame", frame: bytes, ...meta })];
+  },
+  control: (message) => encode(message),
+  read(data) {
+    return decode(data);
+  },
+});
 
-/** Return `body` as MessagePack. */
-export async function packed(body) {
-  return (await import("../vendor/msgpack/index.mjs")).encode(body);
-}
-
-/** Resolves with the codec of this name; MessagePack is loaded only where it is asked for. */
-export async function codecNamed(name) {
-  return name === "msgpack" ? msgpack(await import("../vendor/msgpack/index.mjs")) : json;
+/** Return the codec of this name. MessagePack needs a `library` with `encode` and `decode`, such as @msgpack/msgpack. */
+export function codecNamed(name, library) {
+  if (name === "json") return json;
+  if (name !== "msgpack") throw wrong(`codec is "json" or "msgpack", not ${JSON.stringify(name)}`);
+  if (typeof library?.encode === "function" && typeof library.decode === "function") return msgpack(library);
+  throw wrong(
+    'codec "msgpack" needs a library: npm install @msgpack/msgpack, import * as msgpack from "@msgpack/msgpack", new Client({ msgpack })',
+  );
 }
 
 /** Return `message` with its response maps as bytes: JSON carries them in base64. */

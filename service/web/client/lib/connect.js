@@ -12,6 +12,7 @@ export class Connector {
   #client;
   #id;
   #options;
+  #codec;
   #onMessage;
   #takeUp;
   #onRetry;
@@ -28,6 +29,7 @@ export class Connector {
     this.#client = client;
     this.#id = id;
     this.#options = options;
+    this.#codec = codecNamed(options.codec, client.msgpack);
     this.#onMessage = onMessage;
     this.#takeUp = takeUp;
     this.#onRetry = onRetry;
@@ -74,15 +76,13 @@ export class Connector {
   }
 
   async #attempt() {
-    const { mode, codec, takeover } = this.#options;
-    const query = new URLSearchParams({ mode });
-    if (this.#name) query.set("resume", this.#name);
-    else if (takeover) query.set("takeover", "true");
-    const [loaded, ticket] = await Promise.all([codecNamed(codec), this.#ticket()]);
+    const { mode, takeover } = this.#options;
+    const ticket = await this.#ticket();
+    const way = this.#name ? { resume: this.#name } : { takeover: takeover || undefined };
     const connection = await connect({
       WebSocket: this.#client.WebSocket,
-      url: this.#client.streamUrl(this.#id, query),
-      codec: loaded,
+      url: this.#client.streamUrl(this.#id, { mode, ...way }),
+      codec: this.#codec,
       ticket,
       timeoutMs: this.#client.timeoutMs,
       onMessage: this.#onMessage,

@@ -19,11 +19,11 @@ export class Controls {
     return this.#pending.size > this.#forNext.length;
   }
 
-  /** Send a control now, or with the next frame; resolves with its answer. */
-  async send(control, onNext = false) {
+  /** Send the control that `make()` returns once there is a connection: now, or with the next frame. Resolves with its answer. */
+  async send(make, onNext = false) {
     const connection = await this.#socket.connected();
     const ref = ++this.#refs;
-    const message = { ...control, ref };
+    const message = { ...make(), ref };
     const answer = new Promise((resolve, reject) => this.#pending.set(ref, { message, tries: 1, resolve, reject }));
     if (onNext) this.#withNext(message);
     else connection.control(message);

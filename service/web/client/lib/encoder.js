@@ -1,9 +1,7 @@
 /** Captures what a source shows and has it encoded: in a worker where the browser can, else on the main thread. */
 
 import { unsupportedSource } from "./errors.js";
-import { CanvasEncoder } from "./pixels.js";
-
-const UP_WITHIN_MS = 5000;
+import { canvasEncoder } from "./pixels.js";
 
 const is = (source, ...names) => names.some((name) => globalThis[name] && source instanceof globalThis[name]);
 
@@ -51,30 +49,6 @@ class WorkerEncoder {
     };
   }
 
-  /** Resolves with the encoder once its worker runs; null where the browser or its policy has none. */
-  static open() {
-    if (typeof Worker === "undefined" || typeof OffscreenCanvas === "undefined") return null;
-    return new Promise((resolve) => {
-      let worker;
-      const give = (encoder) => {
-        clearTimeout(timer);
-        if (!encoder) worker?.terminate();
-        resolve(encoder);
-      };
-      const timer = setTimeout(give, UP_WITHIN_MS, null);
-      try {
-        worker = new Worker(new URL("./encoder-worker.js", import.meta.url), { type: "module" });
-        worker.onerror = (event) => {
-          event.preventDefault?.();
-          give(null);
-        };
-        worker.onmessage = () => give(new WorkerEncoder(worker));
-      } catch {
-        give(null);
-      }
-    });
-  }
-
   encode(image, how, keep) {
     return new Promise((resolve, reject) => {
       const id = ++this.#count;
@@ -92,11 +66,11 @@ class WorkerEncoder {
 
 class MainEncoder {
   where = "main";
-  #canvas = new CanvasEncoder();
+  #encoder = canvasEncoder();
 
   async encode(image, how, keep) {
     try {
-      const { blob, wholeBytes } = await this.#canvas.encode(image, how);
+      const { blob, wholeBytes } = await this.#encoder.encode(image, how);
       return { bytes: await bytesOf(blob), wholeBytes };
     } catch (cause) {
       throw unsupportedSource("the frame cannot be encoded", cause);
@@ -109,9 +83,11 @@ class MainEncoder {
 }
 
 /**
- * Resolves with an encoder. Its `encode(image, {size, region, imageType, quality, weigh}, keep)` resolves with `{bytes,
- * wholeBytes}` and closes the image unless `keep` is set; one call at a time.
+ * Resolves with an encoder in the worker that `openWorker` resolves with, or on the main thread where it gives null. Its
+ * `encode(image, {size, region, imageType, quality, weigh}, keep)` resolves with `{bytes, wholeBytes}` and closes the image
+ * unless `keep` is set; one call at a time.
  */
-export async function openEncoder(where) {
-  return (where === "main" ? null : await WorkerEncoder.open()) ?? new MainEncoder();
+export async function openEncoder(openWorker) {
+  const worker = await openWorker();
+  return worker ? new WorkerEncoder(worker) : new MainEncoder();
 }

@@ -21,10 +21,24 @@ export class MFCMTError extends Error {
   }
 }
 
+export const wrong = (detail) => new MFCMTError({ code: "bad-request", detail });
 export const connectionLost = (detail, cause) => new MFCMTError({ code: "connection-lost", detail }, { cause });
 export const streamEnded = () => new MFCMTError({ code: "stream-ended", detail: "the stream has ended" });
 export const unsupportedSource = (detail, cause) => new MFCMTError({ code: "unsupported-source", detail }, { cause });
 export const aborted = (cause) => new MFCMTError({ code: "aborted", detail: "aborted by its signal" }, { cause });
+
+/** The error of a page whose origin the service does not allow: browsers hide the service's own answer from it. */
+export const originRefused = (url, origin, cause) =>
+  new MFCMTError(
+    {
+      code: "origin-refused",
+      status: 403,
+      detail:
+        `${url} answers, but not to pages of ${origin}: add this origin to MFCMT_ALLOWED_ORIGINS of the service ` +
+        "(MFCMT_ALLOWED_ORIGINS=localhost allows every page of localhost, for development)",
+    },
+    { cause },
+  );
 
 /**
  * Whether the same attempt may succeed later. While the process that has a session is away, whatever stands in for it

@@ -11,32 +11,35 @@ const SCALE_TOLERANCE_PX = 1;
 
 export class FrameCropper {
   encoder = null;
-  #where;
+  #openWorker;
   #opening = null;
   #closed = false;
   #crops = 0;
   #density = 1; // bytes for a pixel of the whole frame, over those for a pixel of the crop
 
-  constructor(where) {
-    this.#where = where;
+  /** `openWorker()` resolves with a worker that encodes, or null. */
+  constructor(openWorker) {
+    this.#openWorker = openWorker;
   }
 
   /**
-   * Encode a captured image; returns `{bytes, region, saved}`. `sessionSize` is the size of the session's frame, `needed`
+   * Encode a captured image; returns `{bytes, region, saved, sourceSize}`. `sessionSize` is the size of the session's frame, `needed`
    * the region that the trackers look at (null for the whole), `targets` with `ahead` how far they may move before this
    * frame is tracked. The image is closed unless `keep` is set.
    */
   async encode(image, { sessionSize, maxSide, needed, targets, ahead, imageType, quality, keep }) {
-    const size = frameSize(sizeOf(image), sessionSize, maxSide);
+    const sourceSize = sizeOf(image);
+    const size = frameSize(sourceSize, sessionSize, maxSide);
     const same = size[0] === sessionSize[0] && size[1] === sessionSize[1];
     const region = needed && same ? grown(needed, targets, ahead, size) : null;
     const weigh = region !== null && this.#crops++ % WEIGH_EVERY === 0;
-    this.#opening ??= openEncoder(this.#where);
+    this.#opening ??= openEncoder(this.#openWorker);
     this.encoder = await this.#opening;
     if (this.#closed) this.encoder.close();
     const how = { size, region, imageType, quality, weigh };
     const { bytes, wholeBytes } = await this.encoder.encode(image, how, keep);
-    return { bytes, region, saved: region ? this.#saved(bytes.length, area(size) / area(region.slice(2)), wholeBytes) : 0 };
+    const saved = region ? this.#saved(bytes.length, area(size) / area(region.slice(2)), wholeBytes) : 0;
+    return { bytes, region, saved, sourceSize };
   }
 
   /** Estimate the bytes that the whole frame would have cost more, from the last whole frame that was encoded. */

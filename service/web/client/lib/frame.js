@@ -2,7 +2,7 @@
 
 import { capture, isEncoded, sizeOf } from "./encoder.js";
 import { unsupportedSource } from "./errors.js";
-import { CanvasEncoder, fittedSize } from "./pixels.js";
+import { canvasEncoder, fittedSize } from "./pixels.js";
 
 export const QUALITY = 0.8;
 export const IMAGE_TYPE = "image/jpeg";
@@ -11,9 +11,10 @@ export async function encodeFrame(source, { quality = QUALITY, imageType = IMAGE
   if (isEncoded(source)) throw unsupportedSource("the frame is encoded already");
   const image = await capture(source);
   try {
-    const size = fittedSize(...sizeOf(image), maxSide);
-    const { blob } = await new CanvasEncoder().encode(image, { size, region, imageType, quality });
-    return { blob, size };
+    const sourceSize = sizeOf(image);
+    const size = fittedSize(...sourceSize, maxSide);
+    const { blob } = await canvasEncoder().encode(image, { size, region, imageType, quality });
+    return { blob, size, sourceSize };
   } catch (cause) {
     throw unsupportedSource("the frame cannot be encoded", cause);
   } finally {

@@ -6,23 +6,17 @@ export function fittedSize(width, height, maxSide) {
   return [Math.max(1, Math.round(width * scale)), Math.max(1, Math.round(height * scale))];
 }
 
-/** Encodes images on a canvas of its own. */
-export class CanvasEncoder {
-  #canvas = typeof OffscreenCanvas === "undefined" ? document.createElement("canvas") : new OffscreenCanvas(1, 1);
+// The two functions below are also sent to workers as text, so they use nothing of this module.
 
-  /**
-   * Scale `image` to `size` and encode the part `region` of that; resolves with `{blob, wholeBytes}`. With `weigh`,
-   * `wholeBytes` is the size that the whole frame would have, else null.
-   */
-  async encode(image, { size, region, imageType, quality, weigh }) {
-    const whole = [0, 0, ...size];
-    const blob = await this.#blob(image, size, region ?? whole, imageType, quality);
-    const wholeBytes = weigh && region ? (await this.#blob(image, size, whole, imageType, quality)).size : null;
-    return { blob, wholeBytes };
-  }
+/**
+ * Return an encoder with a canvas of its own. Its `encode(image, {size, region, imageType, quality, weigh})` scales
+ * `image` to `size` and encodes the part `region` of that; it resolves with `{blob, wholeBytes}`. With `weigh`,
+ * `wholeBytes` is the size that the whole frame would have, else null.
+ */
+export function canvasEncoder() {
+  const canvas = typeof OffscreenCanvas === "undefined" ? document.createElement("canvas") : new OffscreenCanvas(1, 1);
 
-  async #blob(image, [frameWidth, frameHeight], [x, y, width, height], type, quality) {
-    const canvas = this.#canvas;
+  const drawn = async (image, [frameWidth, frameHeight], [x, y, width, height], type, quality) => {
     if (canvas.width !== width || canvas.height !== height) {
       canvas.width = width;
       canvas.height = height;
@@ -35,5 +29,30 @@ export class CanvasEncoder {
     return new Promise((resolve, reject) => {
       canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("the canvas gave no image"))), type, quality);
     });
-  }
+  };
+
+  return {
+    async encode(image, { size, region, imageType, quality, weigh }) {
+      const whole = [0, 0, size[0], size[1]];
+      const blob = await drawn(image, size, region ?? whole, imageType, quality);
+      const wholeBytes = weigh && region ? (await drawn(image, size, whole, imageType, quality)).size : null;
+      return { blob, wholeBytes };
+    },
+  };
+}
+
+/** Serve a worker's messages: `{id, image, how}` in, `{id, bytes, wholeBytes}` or `{id, error}` out. */
+export function serveEncoder(scope, encoder) {
+  scope.onmessage = async ({ data: { id, image, how } }) => {
+    try {
+      const { blob, wholeBytes } = await encoder.encode(image, how);
+      const bytes = await blob.arrayBuffer();
+      scope.postMessage({ id, bytes, wholeBytes }, [bytes]);
+    } catch (error) {
+      scope.postMessage({ id, error: String(error) });
+    } finally {
+      image.close();
+    }
+  };
+  scope.postMessage({ up: true });
 }

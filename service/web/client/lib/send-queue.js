@@ -13,7 +13,8 @@ export class SendQueue {
   /** Whether the next frame of pixels must not be cropped. */
   wholeNext = false;
   paused = false;
-  #stream;
+  #chosen;
+  #told;
   #options;
   #socket;
   #controls;
@@ -25,18 +26,19 @@ export class SendQueue {
   #polling = false;
 
   /**
-   * `stream` has `info`, `size`, `region` and `targets` as the service said last, and what its user may set: `regions`,
-   * `quality`, `maxSide`. `hooks` are called: `ready()` when a frame would be taken, `settled()` when one is through,
+   * `chosen` is what the stream's user may set: `regions`, `quality`, `maxSide`; `told` what the service said last.
+   * `openWorker()` resolves with a worker that encodes, or null. `hooks` are called: `ready()` when a frame would be taken, `settled()` when one is through,
    * `failed(error)`, and `isFull()`, which returns whether too many results wait to be read.
    */
-  constructor(stream, options, { socket, controls, stats, hooks }) {
-    this.#stream = stream;
+  constructor(chosen, told, options, { socket, controls, stats, openWorker, hooks }) {
+    this.#chosen = chosen;
+    this.#told = told;
     this.#options = options;
     this.#socket = socket;
     this.#controls = controls;
     this.#stats = stats;
     this.#hooks = hooks;
-    this.#cropper = new FrameCropper(options.encoder);
+    this.#cropper = new FrameCropper(openWorker);
     this.#gate = new SendGate(
       () => this.#hasRoom(),
       () => hooks.ready(),
@@ -95,7 +97,7 @@ export class SendQueue {
       const takenAt = performance.now();
       if (!encoded) image ??= await capture(source, options.transfer);
       const made = encoded
-        ? { bytes: await bytesOf(source), region: options.region ?? null, saved: 0 }
+        ? { bytes: await bytesOf(source), region: options.region ?? null, saved: 0, sourceSize: null }
         : await this.#encode(image, options.whole);
       return this.#handOver(await this.#socket.connected(), { ...made, takenAt, ts: options.ts }, options.seq);
     } catch (error) {
@@ -107,12 +109,12 @@ export class SendQueue {
     }
   }
 
-  /** Forget an answered frame, in `latest` all before it too; returns when it was taken, or null. */
+  /** Forget an answered frame, in `latest` all before it too; returns what is known of it, or null. */
   answer(seq) {
-    const { takenAt = null } = this.#unanswered.get(seq) ?? {};
+    const sent = this.#unanswered.get(seq) ?? null;
     if (this.#options.mode === "latest") this.forgetUpTo(seq);
     else this.#forget(seq);
-    return takenAt;
+    return sent;
   }
 
   /** Forget a refused frame; returns whether nobody has to know, because a crop was too small and is made again. */
@@ -153,7 +155,8 @@ export class SendQueue {
   }
 
   async #encode(image, whole) {
-    const { info, size, region, targets, regions, quality, maxSide } = this.#stream;
+    const { regions, quality, maxSide } = this.#chosen;
+    const { info, size, region, targets } = this.#told;
     // A crop that turns out too small is made again where every frame counts.
     const keep = this.#options.mode === "lossless" && regions;
     const began = performance.now();
@@ -214,7 +217,7 @@ export class SendQueue {
     if (this.#options.mode === "lossless") {
       // A crop surely covers what is needed only when the frame before it is answered.
       const cropping = [...this.#unanswered.values()].some(({ picture }) => picture);
-      return inFlight < (cropping ? 1 : this.#stream.info.credit);
+      return inFlight < (cropping ? 1 : this.#told.info.credit);
     }
     return inFlight < this.#stats.window && !this.#isBuffering(connection);
   }

@@ -5,11 +5,12 @@ import { Controls } from "./controls.js";
 import { Events, Inbox } from "./events.js";
 import { MFCMTError, aborted, mayPass, streamEnded, unsupportedSource } from "./errors.js";
 import { follow } from "./follow.js";
-import { IMAGE_TYPE, QUALITY, regionsByDefault } from "./frame.js";
 import { ReconnectingSocket } from "./reconnecting-socket.js";
 import { SendQueue } from "./send-queue.js";
 import { deferred, quiet } from "./send-gate.js";
 import { Stats } from "./stats.js";
+import { streamOptions } from "./stream-options.js";
+import { Told } from "./told.js";
 
 // How many results may wait unread before no more frames are taken.
 const MAX_UNREAD = 64;
@@ -17,23 +18,11 @@ const MAX_UNREAD = 64;
 // none, so the end waits this long for it.
 const LINGER_MS = 2000;
 
-const DEFAULTS = {
-  mode: "latest",
-  codec: "json",
-  regions: "auto",
-  quality: QUALITY,
-  imageType: IMAGE_TYPE,
-  maxSide: null,
-  encoder: "auto",
-  takeover: false,
-  reconnectForMs: 60_000,
-  stallMs: 10_000,
-};
-
 export class Stream {
   #client;
   #id;
   #options;
+  #told;
   #socket;
   #controls;
   #queue;
@@ -50,18 +39,15 @@ export class Stream {
   #resumed = null;
   #lastSeq = 0;
 
-  constructor(client, id, options) {
+  /** `sourceSize` is the size of the session's last frame before it was scaled; null where that is not known. */
+  constructor(client, id, options, sourceSize = null) {
     this.#client = client;
     this.#id = id;
-    const given = Object.fromEntries(Object.entries(options).filter(([, value]) => value !== undefined));
-    this.#options = { ...DEFAULTS, ...given };
-    this.regions = this.#options.regions === "auto" ? regionsByDefault() : this.#options.regions;
+    this.#options = streamOptions(options);
+    this.regions = this.#options.regions;
     this.quality = this.#options.quality;
     this.maxSide = this.#options.maxSide;
-    this.info = null;
-    this.size = null;
-    this.region = null;
-    this.targets = [];
+    this.#told = new Told(client, sourceSize);
     this.#socket = new ReconnectingSocket(client, id, this.#options, {
       receive: (message) => this.#receive(message),
       takeUp: (connection) => this.#takeUp(connection),
@@ -72,10 +58,11 @@ export class Stream {
       expecting: () => this.#queue.inFlight > 0 || this.#controls.waiting,
     });
     this.#controls = new Controls(this.#socket, () => (this.#queue.wholeNext = true));
-    this.#queue = new SendQueue(this, this.#options, {
+    this.#queue = new SendQueue(this, this.#told, this.#options, {
       socket: this.#socket,
       controls: this.#controls,
       stats: this.#stats,
+      openWorker: async () => (this.#options.encoder === "main" ? null : client.openWorker()),
       hooks: {
         ready: () => this.#events.emit("ready"),
         settled: () => this.#endIfDone(),
@@ -101,6 +88,22 @@ export class Stream {
 
   get codec() {
     return this.#options.codec;
+  }
+
+  get info() {
+    return this.#told.info;
+  }
+
+  get size() {
+    return this.#told.inSource("size");
+  }
+
+  get region() {
+    return this.#told.inSource("region");
+  }
+
+  get targets() {
+    return this.#told.inSource("targets");
   }
 
   get encoder() {
@@ -151,15 +154,15 @@ export class Stream {
   }
 
   async add(box, { onNext } = {}) {
-    return this.#controls.send({ type: "add", box: numbers(box) }, onNext);
+    return this.#control({ type: "add" }, box, onNext);
   }
 
   async correct(target, box, { onNext } = {}) {
-    return this.#controls.send({ type: "correct", target, box: numbers(box) }, onNext);
+    return this.#control({ type: "correct", target }, box, onNext);
   }
 
-  remove(target) {
-    return this.#controls.send({ type: "remove", target });
+  async remove(target) {
+    return this.#told.scale.told(await this.#controls.send(() => ({ type: "remove", target })));
   }
 
   pause() {
@@ -193,6 +196,12 @@ export class Stream {
     return this.status === "closed" ? (this.#error ?? streamEnded()) : null;
   }
 
+  async #control(control, box, onNext) {
+    const given = numbers(box);
+    const make = () => ({ ...control, box: this.#told.scale.toSent(given) });
+    return this.#told.scale.told(await this.#controls.send(make, onNext));
+  }
+
   async #send(source, options, waits) {
     if (this.#ended) throw this.#ended;
     try {
@@ -223,10 +232,7 @@ export class Stream {
     if (this.info === null) this.#lastSeq = session.seq;
     else if (this.#queue.hasUpTo(session.seq)) await this.#fetchMissed(session.seq);
     if (this.info) this.#resumed = { seq: session.seq, lostAfter: lostAfter(ready, this.#lastSeq) };
-    this.info = ready;
-    this.size = session.size;
-    this.region = session.region;
-    this.targets = session.targets;
+    this.#told.attached(ready);
     this.#queue.takeUp(connection);
   }
 
@@ -275,20 +281,18 @@ export class Stream {
   #answer(result) {
     if (result.seq <= this.#lastSeq) return; // fetched already
     this.#lastSeq = result.seq;
-    const takenAt = this.#queue.answer(result.seq);
-    this.size = result.size;
-    this.region = result.region;
-    this.targets = result.targets;
-    this.#stats.answer(result.timing ? takenAt : null, result.dropped);
-    this.#inbox.put(result);
-    this.#events.emit("result", result);
+    const sent = this.#queue.answer(result.seq);
+    this.#told.take(result, sent?.sourceSize);
+    this.#stats.answer(result.timing && sent ? sent.takenAt : null, result.dropped);
+    const given = this.#told.scale.told(result);
+    this.#inbox.put(given);
+    this.#events.emit("result", given);
   }
 
   #retarget(message) {
-    this.region = message.region;
-    this.targets = message.targets;
+    this.#told.take(message);
     this.#controls.answer(message);
-    this.#events.emit("targets", message);
+    this.#events.emit("targets", this.#told.scale.told(message));
   }
 
   #refuse({ seq = null, ref = null, problem }) {

@@ -1,8 +1,8 @@
-// Type-checked, never run: what people write with the client, and what the types must refuse.
+// Type-checked, never run: what people write in pages, and what the types must refuse.
 import {
   Client,
-  MFCMTError,
   Session,
+  Stream,
   VERSION,
   encodeFrame,
   fittedSize,
@@ -11,12 +11,13 @@ import {
   type Result,
   type Size,
   type StreamStatus,
-} from "mfcmt-client";
+} from "@mfcmt/client";
+import { drawBoxes, letterbox, letterboxOf, overlay, type Letterbox } from "@mfcmt/client/view";
 
 export async function page(video: HTMLVideoElement, canvas: HTMLCanvasElement): Promise<void> {
-  const client = new Client({ key: "k", timeoutMs: 5000 });
+  const client = new Client({ key: "k", timeoutMs: 5000, boxesIn: "source", fetch, WebSocket, workerUrl: new URL("/w.js", location.href) });
   const box: Box = [1, 2, 3, 4];
-  const session: Session = await client.createSession({ frame: video, boxes: [box], maxSide: 640, options: { maps: true } });
+  const session: Session = await client.createSession({ frame: video, boxes: [box], maxSide: 640, options: { maps: true }, endWithPage: false, signal: new AbortController().signal });
   const stream = session.stream({ mode: "latest", codec: "msgpack", regions: "auto", encoder: "worker" });
   const off = stream.on("status", ({ status, retryInMs, error }) => {
     const now: StreamStatus = status;
@@ -39,22 +40,6 @@ export async function page(video: HTMLVideoElement, canvas: HTMLCanvasElement): 
   console.log(seq, VERSION, regionsByDefault());
 }
 
-export async function node(frames: AsyncIterable<Uint8Array>, WebSocket: typeof globalThis.WebSocket): Promise<string> {
-  const client = new Client({ url: "http://127.0.0.1:8000", WebSocket });
-  try {
-    const session = await client.getSession("id");
-    const past = await session.trajectory({ after: 3 });
-    console.log(past[0]?.targets[0]?.scores?.fused);
-    for await (const { timing } of session.stream({ frames, mode: "lossless" })) console.log(timing?.track_ms);
-    const restored = await client.restoreSession(await session.snapshot());
-    await client.deleteSession(restored.id);
-    return await session.trajectory({ format: "csv" });
-  } catch (error) {
-    if (error instanceof MFCMTError && error.code === "at-capacity") return `again in ${error.retryAfter} s`;
-    throw error;
-  }
-}
-
 export async function refused(client: Client): Promise<void> {
   // @ts-expect-error: no such mode
   client.stream("id", { mode: "fastest" });
@@ -67,4 +52,12 @@ export async function refused(client: Client): Promise<void> {
   const size: Size = fittedSize(1280, 720, 640);
   const image: { blob: Blob; size: Size } = await encodeFrame(new OffscreenCanvas(1, 1), { maxSide: 4 });
   console.log(box, size, image);
+}
+
+export function view(video: HTMLVideoElement, stream: Stream): () => void {
+  const layer = overlay(video, { label: ({ id, confidence }) => `${id} ${confidence?.toFixed(2)}` });
+  stream.on("result", ({ targets, size }) => layer.draw(targets, size));
+  const where: Letterbox = letterbox([1280, 720], [300, 300], { fit: "cover" });
+  console.log(where.box([1, 2, 3, 4])[2], letterboxOf(video).pointBack([1, 2]), layer.svg.viewBox);
+  return drawBoxes(video, (box) => void stream.add(box), { onDraft: layer.draft, signal: new AbortController().signal });
 }
