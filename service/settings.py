@@ -30,6 +30,7 @@ MIB = 1024 * 1024
 TEN_YEARS_S = 3.2e8
 # Apps in a WebView have origins of other schemes than http.
 ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^\s/?#@*\\]+", re.IGNORECASE)
+HOST = re.compile(r"[A-Za-z0-9._-]+(?::[0-9]{1,5})?")
 # Variables that the exporter of spans reads by itself; they may hold a key.
 OTLP_HEADERS = ("OTEL_EXPORTER_OTLP_HEADERS", "OTEL_EXPORTER_OTLP_TRACES_HEADERS")
 Secrets = Annotated[tuple[SecretStr, ...], NoDecode]
@@ -192,6 +193,12 @@ class Settings(BaseSettings):
         default=(),
         description=f"interfaces of other tools that are opened: {', '.join(BRIDGES)} (docs/integrations.md)",
     )
+    video_hosts: Names = Field(
+        default=(),
+        description="hosts, as name or name:port, from which the bridge to Label Studio fetches videos; default: none",
+    )
+    max_video_bytes: int = Field(default=512 * MIB, ge=1024, description="bytes of a video that a bridge fetches")
+
     otlp_endpoint: str = Field(
         default="",
         description="base URL of the OTLP/HTTP collector of spans, as http://host:4318; default: no spans",
@@ -220,7 +227,7 @@ class Settings(BaseSettings):
         environment.take({name for name in map(str.upper, os.environ) if name.startswith(PREFIX)} - set(OWN))
         environment.take(OTLP_HEADERS)
 
-    @field_validator("api_keys", "signing_keys", "allowed_origins", "bridges", mode="before")
+    @field_validator("api_keys", "signing_keys", "allowed_origins", "bridges", "video_hosts", mode="before")
     @classmethod
     def _split(cls, value: Any) -> Any:
         if isinstance(value, str):
@@ -273,6 +280,14 @@ class Settings(BaseSettings):
             if name not in BRIDGES:
                 raise ValueError(f"there is no bridge {name[:40]!r}; there are {', '.join(BRIDGES)}")
         return value
+
+    @field_validator("video_hosts")
+    @classmethod
+    def _bare_hosts(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        for host in value:
+            if not HOST.fullmatch(host):
+                raise ValueError("a host is its name or address, and a port if need be, as videos.example:8443")
+        return tuple(host.lower() for host in value)
 
     @field_validator("public_url", "otlp_endpoint")
     @classmethod

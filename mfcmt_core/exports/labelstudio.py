@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from .paths import Point, points
+from .paths import points
 from .rows import Clip, Row, by_target
 
 CONFIG = """<View>
@@ -24,7 +24,7 @@ def labelstudio(clip: Clip, rows: Iterable[Row], tolerance: float, length: int) 
     duration = round(length / clip.fps, 6)
     result = []
     for target, path in by_target(rows).items():
-        sequence = _sequence(clip, list(points(clip, path, tolerance)), ends=path[-1].frame < length - 1)
+        keyframes = sequence(clip, path, tolerance, ends=path[-1].frame < length - 1)
         confidences = [row.result.confidence for row in path]
         result.append(
             {
@@ -37,7 +37,7 @@ def labelstudio(clip: Clip, rows: Iterable[Row], tolerance: float, length: int) 
                 "value": {
                     "framesCount": length,
                     "duration": duration,
-                    "sequence": sequence,
+                    "sequence": keyframes,
                     "labels": [target.kind],
                 },
             }
@@ -45,8 +45,12 @@ def labelstudio(clip: Clip, rows: Iterable[Row], tolerance: float, length: int) 
     return [{"data": {"video": clip.name}, "predictions": [{"model_version": "mfcmt", "result": result}]}]
 
 
-def _sequence(clip: Clip, path: list[Point], *, ends: bool) -> list[dict[str, Any]]:
-    """Return the keyframes. After one that is not enabled, the box is away until the next."""
+def sequence(clip: Clip, rows: list[Row], tolerance: float, *, ends: bool) -> list[dict[str, Any]]:
+    """Return the keyframes of one target's rows. After one that is not enabled, the box is away until the next.
+
+    ``ends`` says that the box is away after the last of them; ``tolerance`` is in pixels.
+    """
+    path = list(points(clip, rows, tolerance))
     shown = [*(point.present for point in path[1:]), not ends]
     return [
         {

@@ -1,4 +1,4 @@
-"""Interfaces of other tools to the tracker: KServe v2, CVAT.
+"""Interfaces of other tools to the tracker: KServe v2, CVAT, Label Studio.
 
 Those that open an interface of the service are off unless ``MFCMT_BRIDGES`` names them. They use sessions as the calls
 of the public API do, under the same keys, limits, metrics and problems. This module is small: settings read it, and
@@ -32,6 +32,7 @@ class Bridge:
 
 BRIDGES = {
     "cvat": Bridge("cvat", r"/api/function"),
+    "labelstudio": Bridge("labelstudio", r"/labelstudio/"),
     "kserve": Bridge("kserve", r"/v2(?!/health/)"),
 }
 """The bridges by the names that ``MFCMT_BRIDGES`` has for them."""

@@ -51,8 +51,11 @@ def die_with_parent() -> None:
         ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
 
 
-def confine() -> list[str]:
-    """Give up for good every right that this process can give up, and return the names of those it did."""
+def confine(readable: Iterable[Path] = ()) -> list[str]:
+    """Give up for good every right that this process can give up, and return the names of those it did.
+
+    Files can still be read in the folders of libraries and in those of ``readable``.
+    """
     if sys.platform != "linux":
         return _limits()
     libc = ctypes.CDLL(None, use_errno=True)
@@ -64,7 +67,7 @@ def confine() -> list[str]:
         done.append("no-capabilities")
     if libc.prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) == 0:
         done.append("no-new-privileges")
-        if version := _landlock(libc, _libraries()):
+        if version := _landlock(libc, [*_libraries(), *readable]):
             done.append(f"landlock-{version}")
     return done
 
