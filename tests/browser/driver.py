@@ -99,6 +99,42 @@ class Tracker:
         await self.page.mouse.move(right, bottom, steps=3)
         await self.page.mouse.up()
 
+    async def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Drag the mouse from one point of the picture to another, in its pixels."""
+        at = await self.picture()
+        (x, y), (to_x, to_y) = ((at["x"] + px * at["scale"], at["y"] + py * at["scale"]) for px, py in (start, end))
+        await self.page.mouse.move(x, y)
+        await self.page.mouse.down()
+        await self.page.mouse.move((x + to_x) / 2, (y + to_y) / 2, steps=3)
+        await self.page.mouse.move(to_x, to_y, steps=3)
+        await self.page.mouse.up()
+
+    async def open_file(self, *paths: Path) -> None:
+        """Open files of this machine."""
+        await self.page.set_input_files("#file", list(paths))
+        await self.until("document.documentElement.dataset.state === 'open'")
+
+    async def end(self, patience_s: float = PATIENCE_MS / 1e3) -> None:
+        """Wait until the whole video was tracked."""
+        await self.until("document.getElementById('hint').innerText.includes('End of the video')", patience_s)
+
+    async def pause(self) -> None:
+        """Pause, and wait for the answers that are due."""
+        if await self.page.get_attribute("#play", "aria-label") == "Pause":
+            await self.page.click("#play")
+        await self.until("document.getElementById('connection-text').innerText !== 'Tracking'")
+        count = -1
+        while (now := await self.frames()) != count:
+            count = now
+            await asyncio.sleep(0.3)
+
+    async def go_to(self, frame: int) -> None:
+        """Move a file to one of its frames, from 0."""
+        await self.page.locator("#seek").fill(str(frame))
+        await self.until(
+            f"document.getElementById('seek').getAttribute('aria-valuetext').includes('frame {frame + 1} ')"
+        )
+
     async def status(self, target: int = 1) -> str | None:
         """Of a target in the list; None where it is not there."""
         row = self.page.locator(f"#targets li[data-target='{target}']")

@@ -46,12 +46,13 @@ async def test_the_page_says_that_the_server_is_away(open_page: Open, own_server
         server.stop()
         await user.until("document.getElementById('notice').innerText.includes('Reconnecting')")
         assert await user.page.get_attribute("#connection", "data-tone") == "busy"
-        server.start()  # it has forgotten the session; for a minute that may be a stand-in for the one that has not
-        await user.until("document.documentElement.dataset.state === 'ended'", patience_s=120)
-        assert "The session is gone" in await user.notice()
-        await user.page.click("#notice-action")
+        await user.until("document.getElementById('stage').hasAttribute('data-stale')")
+        server.start()  # it has forgotten the session, but the page has the frame and the boxes
+        await user.until("document.getElementById('log').innerText.includes('a new one goes on')", patience_s=120)
         await user.until(STARTED)
         await user.frames(5)
+        numbers = [frame["frame"] for frame in (await user.boxes())["frames"]]
+        assert numbers == list(range(len(numbers)))  # and it went on with the frame that was tracked last
 
 
 async def test_a_refused_camera_is_explained(open_page: Open) -> None:
@@ -120,7 +121,6 @@ async def test_one_target_too_many_is_explained(open_page: Open, own_server: Cal
     server = own_server(max_targets_per_session=1)
     async with open_page(server.url) as user:
         await user.follow_sample(5)
-        await user.page.keyboard.press("a")
         await user.draw((500, 100, 60, 60))
         await user.until("!document.getElementById('notice').hidden")
         assert "No room for another target" in await user.notice()

@@ -1,82 +1,112 @@
-// The application: opens a source, starts a run when a box is drawn, shows results, reports trouble.
+// The application: opens a source, follows what is drawn in it, shows results, reports trouble.
 
-import { fittedSize } from "/static/client/mfcmt.js";
-import { announce, byId } from "./dom.js";
-import { Frames } from "./frames.js";
-import { History } from "./history.js";
+import { fittedSize } from "../client/mfcmt.js";
+import { byId } from "./dom.js";
+import { Edits } from "./edits.js";
+import { Follower } from "./follower.js";
 import { connection, log, notice } from "./panels.js";
 import { Player } from "./player.js";
 import { Recorder } from "./recorder.js";
+import { Runs } from "./runs.js";
 import { OF_THE_SESSION, Settings } from "./settings.js";
 import { Stage } from "./stage.js";
-import { Tracking } from "./tracking.js";
+import { Statuses } from "./statuses.js";
 import { Trouble } from "./trouble.js";
 import { View } from "./view.js";
+import { Watch } from "./watch.js";
 
-const FIGURES_MS = 250;
-
-/** States: `idle` (no source), `open` (a source, no run), `starting`, `tracking`, `ended` (the run stopped by itself). */
+/**
+ * States: `idle` (no source), `open` (a source, no run), `starting`, `tracking` (a session follows the run's targets),
+ * `ended` (a run is shown, and nothing is followed).
+ */
 export class App {
   state = "idle";
-  adding = false;
-  skipped = 0;
-  history = new History();
+  shown = { time: 0, index: null };
   recorder = new Recorder();
-  tracking = null;
-  #frames = new Frames();
-  #shownTime = 0;
-  #base = 0;
-  #sending = false;
+  statuses = new Statuses();
+  /** What the next box does: `null` (by where it is drawn), `add` or `correct`. */
+  intent = null;
+  /** How the source was opened. */
+  opening = null;
 
-  /** `changed()` is called when the controls must be redrawn; `askKey()` resolves to whether a key was entered. */
-  constructor({ changed, askKey }) {
-    this.changed = changed;
+  /**
+   * `changed()` is called when the controls must be redrawn, `keepRecording()` before the picture goes that is recorded;
+   * `askKey()` resolves to whether a key was entered.
+   */
+  constructor({ changed, askKey, keepRecording }) {
+    Object.assign(this, { changed, keepRecording });
+    this.runs = new Runs(() => this.panels(true));
     this.trouble = new Trouble({ clock: () => this.clock(), askKey });
     this.settings = new Settings((name) => this.#setting(name));
     this.stage = new Stage(byId("stage"), byId("picture"), byId("overlay"), {
-      onbox: (box) => this.box(box),
-      onpick: (point) => this.choose(this.view.at(point)),
+      onbox: (box, target) => this.box(box, target),
+      onpick: (point) => this.edits.choose(this.view.at(point)),
       onhold: (on) => {
-        this.player.hold(on);
+        this.player.hold("box", on);
         this.changed();
       },
     });
-    const { history, stage, recorder, settings } = this;
-    const handlers = { onchoose: (id) => this.choose(id), onremove: (id) => this.remove(id) };
-    this.view = new View({ history, stage, recorder, settings, ...handlers });
+    this.view = new View(this);
     this.player = new Player({
       deliver: () => this.#deliver(),
       preview: () => this.#preview(),
       changed: () => this.#moved(),
+      failed: (error) => this.trouble.tell(error),
     });
-    setInterval(() => this.tracking?.stream && this.view.figures(this.tracking.stream.stats, this.skipped), FIGURES_MS);
+    this.follower = new Follower({
+      sourceSize: () => this.source.size,
+      onresult: (frame, told) => this.#result(frame, told),
+      onstatus: (change) => this.watch.status(change),
+      onproblem: (error) => this.trouble.refused(error),
+      onend: (error) => this.#ended(error),
+    });
+    this.watch = new Watch(this);
+    this.edits = new Edits(this);
   }
 
-  /** The target that a new box will correct. */
+  /** The target that is corrected by a drag on its box. */
   get chosen() {
     return this.view.chosen;
+  }
+
+  get run() {
+    return this.runs.shown;
   }
 
   get source() {
     return this.player.source;
   }
 
+  /** Every frame of a file is followed, and of a camera the newest, unless the settings say otherwise. */
+  get mode() {
+    const { mode } = this.settings.values;
+    return mode === "auto" ? (this.source?.live ? "latest" : "lossless") : mode;
+  }
+
   /** Open the source that the function `opening` returns. A failure is shown with a button to try again. */
   async open(opening) {
     notice.hide();
+    connection("Opening…", "busy");
     let source;
     try {
       source = await opening();
     } catch (error) {
       this.trouble.tell(error, { again: () => this.open(opening) });
+      this.watch.pill();
       return false;
     }
     this.#leave();
     this.player.open(source);
-    source.onend = after(source.onend, () => source.live && this.trouble.tell({ code: "camera-ended" }, { again: () => this.open(opening) }));
+    this.opening = opening;
+    const { onend } = source;
+    source.onend = () => {
+      onend();
+      if (source.live) this.trouble.tell({ code: `${source.kind}-ended` }, { again: () => this.open(opening) });
+    };
     this.stage.scene.suggestion = source.suggestion;
-    this.#to("open");
+    this.to("open");
     this.#preview();
+    this.stage.focus();
     return true;
   }
 
@@ -85,242 +115,186 @@ export class App {
     this.#leave();
     this.player.close();
     this.stage.hide();
-    this.#to("idle");
+    this.to("idle");
+    byId("choose-sample").focus();
   }
 
-  /** Handle a box that was drawn, in fractions of the frame. */
-  async box(box) {
+  /** Handle a box, in fractions of the frame: of `target`, or of a new one. */
+  async box(box, target = null) {
+    if (this.intent === "correct") target = this.chosen;
+    if (this.intent === "add") target = null;
+    this.intent = null;
     try {
-      if (this.state === "tracking") await this.#place(box);
-      else if (this.state !== "starting") await this.begin([box]);
+      if (this.state !== "starting") await this.edits.place(box, target);
     } finally {
-      this.player.hold(false);
+      this.player.hold("box", false);
     }
-  }
-
-  /** Start a run on the frame that is shown. */
-  begin(boxes) {
-    this.history.clear();
-    log.clear();
-    this.#base = 0;
-    return this.#start(boxes, boxes.map(() => this.history.number()));
-  }
-
-  /** Start a new session for the present targets, from their present boxes. */
-  async restart(play = true) {
-    const targets = [...this.history.targets.values()];
-    this.tracking?.stop();
-    if (!targets.length) {
-      this.#to("open");
-      return;
-    }
-    this.#base = this.history.next;
-    await this.#start(targets.map(({ box }) => box), targets.map(({ id }) => id), play);
-  }
-
-  /** End the run and keep the source. */
-  stop() {
-    this.tracking?.stop();
-    this.tracking = null;
-    this.player.pause();
-    this.history.targets.clear();
-    this.view.clearMaps();
-    log.add(this.clock(), "Stopped");
-    this.#to("open");
-    if (this.source?.live) this.player.play();
   }
 
   async play() {
-    if (this.player.ended && this.state !== "open") this.stop();
-    if (this.player.ended) await this.player.seek(0);
-    else await this.player.play();
+    await this.#back();
+    await this.player.play();
     this.changed();
   }
 
-  choose(id) {
-    if (!this.history.targets.has(id)) return;
-    this.view.chosen = id;
-    this.adding = false;
-    this.#panels(true);
+  async step() {
+    if (!this.source) return;
+    await this.#back();
+    await this.player.step();
   }
 
-  async remove(id) {
-    try {
-      await this.tracking?.remove(id);
-    } catch (error) {
-      this.trouble.tell(error);
-      return;
-    }
-    this.history.targets.delete(id);
-    log.add(this.clock(), `Target ${id}`, "removed");
-    this.#panels(true);
+  async back() {
+    if (this.source?.count != null && this.shown.index > 0) await this.move((one) => one.show(this.shown.index - 1));
   }
 
-  /** The time of the picture, as text. */
-  clock(time = this.#shownTime) {
-    const seconds = Math.max(0, time ?? 0);
-    return `${Math.floor(seconds / 60)}:${(seconds % 60).toFixed(1).padStart(4, "0")}`;
+  /** Move a file to a frame, or to a time where its frames have no numbers. */
+  goTo(place) {
+    return this.move((one) => (one.count === null ? one.seek(place) : one.show(place)));
   }
 
-  async #start(boxes, ids, play = true) {
+  /** Move a file. `to(source)` moves the source. */
+  async move(to) {
+    this.player.pause();
+    await this.player.move(to);
+    this.changed();
+  }
+
+  /** Return from a place beyond what is followed: no frame may be left out. */
+  async #back() {
+    const { source, follower, state } = this;
+    if (source.live || state !== "tracking" || source.time <= follower.reached) return;
+    await this.player.move((one) => one.seek(follower.reached));
+  }
+
+  /** A time of the source as text; the picture's by default. */
+  clock(time = this.shown.time) {
+    const seconds = Number.isFinite(time) ? Math.max(0, time) : 0;
+    return `${Math.floor(seconds / 60)}:${(Math.floor(10 * (seconds % 60)) / 10).toFixed(1).padStart(4, "0")}`;
+  }
+
+  async start(placed, play, script) {
+    const { run, source, stage } = this;
     const { values } = this.settings;
-    const size = this.#size();
-    const { picture } = this.stage;
-    const frame = picture.width === size[0] && picture.height === size[1] ? this.#shown() : this.#grab(size);
-    this.#to("starting");
-    const tracking = new Tracking({
-      number: () => this.history.number(),
-      onresult: (result, of, seen) => this.tracking === tracking && this.#result(result, of, seen),
-      onstatus: (change) => this.trouble.status(change),
-      onproblem: (error) => this.trouble.refused(error),
-      onspare: (frame) => this.#frames.release(frame),
-      onend: (error) => this.#ended(error),
-    });
-    this.tracking?.stop();
-    this.tracking = tracking;
-    this.skipped = 0;
-    try {
-      await tracking.start(frame, boxes.map((box) => pixels(box, size)), ids, { ...values, label: this.source.name });
-    } catch (error) {
-      if (this.tracking !== tracking) return;
-      this.tracking = null;
-      this.#to(ids.some((id) => this.history.targets.has(id)) ? "ended" : "open");
-      this.trouble.tell(error, { again: () => this.#start(boxes, ids, play) });
-      return;
-    }
+    const size = this.size();
+    const { width, height } = stage.picture;
+    const same = width === size[0] && height === size[1];
+    const frame = this.follower.grab(source.live && same ? this.picture() : source, size);
+    if (!source.live) Object.assign(frame, this.shown);
+    this.to("starting");
+    if (!(await this.follower.start(run, frame, placed, { ...values, mode: this.mode, label: source.name }, script))) return;
     notice.hide();
-    this.stage.scene.suggestion = null;
-    this.#to("tracking");
-    this.player.exact = values.mode === "lossless";
+    stage.scene.suggestion = null;
+    this.to("tracking");
+    this.player.exact = this.mode === "lossless";
     if (play) await this.player.play();
   }
 
-  async #place(box) {
-    const target = this.adding || this.chosen === null ? null : this.chosen;
-    const frame = this.#shown();
-    try {
-      if (target !== null) this.history.restart(target);
-      await this.tracking.place(frame, pixels(box, [frame.canvas.width, frame.canvas.height]), target);
-      if (target !== null) log.add(this.clock(frame.time), `Target ${target}`, "corrected");
-      if (target === null) this.view.chosen = [...this.history.targets.keys()].at(-1) ?? this.chosen;
-      this.adding = false;
-      notice.hide();
-    } catch (error) {
-      this.trouble.tell(error);
-    }
-    this.#panels(true);
-  }
-
-  /** Track the frame that the player shows. */
+  /** Follow the frame that the player shows, or show what is known of it. */
   async #deliver() {
-    if (this.state === "starting") return;
-    if (this.state !== "tracking") {
+    const { run, source, follower, state, player } = this;
+    if (state === "starting" || (source.live && player.held("box"))) return;
+    if (!run || (!source.live && source.time <= follower.reached)) {
       this.#preview();
+      if (run) await player.inTime(source.time);
       return;
     }
-    const busy = this.tracking.mode === "lossless" ? this.#sending : !this.tracking.open;
-    if (busy) {
-      this.skipped++;
+    if (!follower.tracking) {
+      if (source.live || state !== "ended") this.#preview();
+      else this.edits.resume(player.playing);
       return;
     }
-    this.#sending = true;
-    await this.tracking.send(this.#grab(this.#size())).finally(() => (this.#sending = false));
+    if (source.realTime) await player.inTime(source.time);
+    await follower.send(source, this.size());
   }
 
+  /** Show the source's frame with what is known of it. */
   #preview() {
-    if (!this.source || this.state === "tracking" || this.state === "starting") return;
-    this.#shownTime = this.source.time;
-    this.stage.show(this.source.video, this.#size());
-    if (this.source.suggestion) this.stage.scene.suggestion = this.source.time === 0 && this.state === "open" ? this.source.suggestion : null;
-    this.#panels();
+    const { source, state, stage } = this;
+    if (!source || state === "starting" || stage.drawing || (source.live && state === "tracking")) return;
+    this.shown = { time: source.time, index: source.index };
+    stage.show(source, this.size());
+    if (source.suggestion) stage.scene.suggestion = (source.index ?? source.time) === 0 && state === "open" ? source.suggestion : null;
+    this.panels();
     this.changed();
   }
 
-  #result(result, ids, frame) {
-    if (frame) {
-      this.#shownTime = frame.time;
-      this.stage.show(frame.canvas, [frame.canvas.width, frame.canvas.height]);
+  #result(frame, { rows, maps, tookMs }) {
+    const { source, stage } = this;
+    if (source.live || frame.time >= this.shown.time || this.player.playing) {
+      this.shown = { time: frame.time, index: frame.index };
+      stage.show({ draw: (context, ...size) => context.drawImage(frame.canvas, 0, 0, ...size) }, [frame.canvas.width, frame.canvas.height]);
     }
-    if (result.timing) this.view.took(result.timing.track_ms);
-    const numbered = { ...result, seq: result.seq + this.#base };
-    const changes = this.history.note(numbered, ids, this.#shownTime, this.source.size);
-    for (const { id, from, to, time } of changes) {
-      log.add(this.clock(time), `Target ${id}`, from ? to : to === "tracking" ? "started" : "started; the box shows nothing to follow", to);
-      if (from) announce(`Target ${id} ${to}`);
-    }
-    this.#panels(changes.length > 0);
+    this.view.took(tookMs, maps);
+    this.statuses.note(rows, this.clock(frame.time));
+    this.watch.pill();
+    this.panels(!this.player.playing);
   }
 
   #ended(error) {
-    this.tracking.stop();
-    this.tracking = null;
-    this.player.pause();
-    this.#to("ended");
-    this.trouble.ended(error, { restart: () => this.restart() });
+    this.halt();
+    this.to("ended");
+    if (this.watch.mayGoOn(error)) {
+      log.add(this.clock(), "Session", "gone; a new one goes on from the present boxes");
+      this.edits.resume();
+    } else {
+      this.trouble.ended(error, { restart: () => this.edits.resume() });
+    }
   }
 
   async #setting(name) {
     const { values } = this.settings;
+    const { tracking } = this.follower;
     if (!values.maps) this.view.clearMaps();
     if (this.state === "open") this.#preview();
-    if (this.state === "tracking" && OF_THE_SESSION.includes(name)) await this.restart(this.player.playing);
+    if (this.state === "tracking" && OF_THE_SESSION.includes(name)) await this.edits.resume(this.player.playing);
     if (this.state === "tracking" && name === "mode") {
-      this.tracking.attach(values);
-      this.player.exact = values.mode === "lossless";
+      tracking.attach({ ...values, mode: this.mode });
+      this.player.exact = this.mode === "lossless";
       await this.player.refresh();
     }
-    if (this.tracking?.stream) Object.assign(this.tracking.stream, { quality: values.quality, regions: values.regions });
-    this.#panels();
+    if (tracking?.stream) Object.assign(tracking.stream, { quality: values.quality, regions: values.regions });
+    this.panels();
   }
 
-  #size() {
+  size() {
     const [width, height] = this.source.size;
     return fittedSize(width, height, this.settings.values.maxSide || null);
   }
 
-  #grab(size) {
-    return this.#frames.grab(this.source.video, size, this.source.time);
-  }
-
-  /** Record the picture as it is shown. */
-  #shown() {
+  /** The picture as it is shown, as a source. */
+  picture() {
     const { picture } = this.stage;
-    return this.#frames.grab(picture, [picture.width, picture.height], this.#shownTime);
+    return { ...this.shown, draw: (context, w, h) => context.drawImage(picture, 0, 0, w, h) };
   }
 
+  halt() {
+    this.follower.stop();
+    this.player.pause();
+  }
+
+  /** Leave the source; its runs stay in the list. */
   #leave() {
-    this.tracking?.stop();
-    this.tracking = null;
-    this.history.clear();
-    this.adding = false;
+    this.halt();
+    if (this.recorder.running) this.keepRecording();
+    this.runs.show(null);
+    this.intent = null;
     log.clear();
     this.view.clear();
-    this.#panels(true);
   }
 
-  #to(state) {
+  to(state) {
     this.state = state;
     this.stage.armed = state === "open" || state === "tracking" || state === "ended";
-    const pills = { idle: ["Ready", "idle"], open: ["Ready", "idle"], starting: ["Starting…", "busy"], tracking: ["Tracking", "good"], ended: ["Stopped", "bad"] };
-    connection(...pills[state]);
-    this.#panels(true);
+    this.watch.pill();
+    this.panels(true);
   }
 
-  /** The player started or stopped playing. */
   #moved() {
-    const { playing } = this.player;
-    if (this.state === "tracking" && !this.trouble.lost) connection(playing ? "Tracking" : "Paused", playing ? "good" : "idle");
+    this.watch.pill();
     this.changed();
   }
 
-  #panels(now = false) {
-    if (this.view.draw(this.source?.size ?? [0, 0], now)) this.changed();
+  panels(now = false) {
+    if (this.view.draw(now)) this.changed();
   }
 }
-
-const pixels = ([x, y, w, h], [width, height]) => [x * width, y * height, w * width, h * height];
-
-const after = (first, second) => () => {
-  first();
-  second();
-};

@@ -3,12 +3,12 @@
 export class Frames {
   #free = [];
 
-  /** A frame: the picture of `video` at `time`, scaled to `size`. */
-  grab(video, [width, height], time) {
+  /** A frame: what `source` shows (it has `draw(context, width, height)`, `time` and `index`), scaled to `size`. */
+  grab(source, [width, height]) {
     const canvas = this.#free.pop() ?? document.createElement("canvas");
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    canvas.getContext("2d").drawImage(video, 0, 0, width, height);
-    return { canvas, time };
+    source.draw(canvas.getContext("2d"), width, height);
+    return { canvas, time: source.time, index: source.index };
   }
 
   /** Take a frame back for reuse. */

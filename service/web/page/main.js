@@ -1,43 +1,58 @@
-// The page's controls: buttons, menus, keys.
+// The page's controls: what each button and key does.
 
 import { App } from "./app.js";
+import { Controls } from "./controls.js";
 import { byId, download, el } from "./dom.js";
-import { toCsv, toJson } from "./export.js";
-import { connection } from "./panels.js";
-import { Recorder } from "./recorder.js";
-import { cameras, openCamera, openFile, openSample } from "./source.js";
+import { Exporter, fileName } from "./exporter.js";
 import { key } from "./tracking.js";
+import { Recorder } from "./recorder.js";
+import { Link } from "./link.js";
+import { cameras, openCamera, openScreen } from "./sources/live.js";
+import { openFiles, openSample } from "./sources/open.js";
 
-const app = new App({ changed, askKey });
+const app = new App({ changed: () => controls.update(), askKey, keepRecording: record });
+const controls = new Controls(app);
+const exporter = new Exporter(app);
 let facing = "environment";
 
-byId("choose-sample").addEventListener("click", () => app.open(openSample));
-byId("choose-camera").addEventListener("click", () => camera({ facing }));
-byId("choose-file").addEventListener("click", () => byId("file").click());
-byId("file").addEventListener("change", ({ target }) => {
-  const [file] = target.files;
-  if (file) app.open(() => openFile(file));
+const on = (id, does, event = "click") => byId(id).addEventListener(event, does);
+const files = (chosen) => app.open(() => openFiles(chosen));
+
+on("choose-sample", () => app.open(openSample));
+on("choose-camera", () => camera({ facing }));
+on("choose-screen", () => app.open(openScreen));
+on("choose-file", () => byId("file").click());
+on("choose-folder", () => byId("folder").click());
+for (const id of ["file", "folder"]) {
+  on(id, ({ target }) => {
+    const chosen = [...target.files];
+    if (chosen.length) files(chosen);
+    target.value = "";
+  }, "change");
+}
+on("import", () => byId("import-file").click());
+on("import-file", ({ target }) => {
+  if (target.files.length) app.edits.import(target.files[0]);
   target.value = "";
-});
-byId("change-source").addEventListener("click", () => app.close());
-byId("follow-suggestion").addEventListener("click", follow);
-byId("play").addEventListener("click", playOrPause);
-byId("step").addEventListener("click", step);
-byId("stop").addEventListener("click", () => app.stop());
-byId("flip").addEventListener("click", () => {
+}, "change");
+on("change-source", () => app.close());
+on("follow-suggestion", follow);
+on("play", playOrPause);
+on("step", () => app.step());
+on("back", () => app.back());
+on("stop", () => app.edits.stop());
+on("undo", () => app.edits.undo());
+on("redo", () => app.edits.undo(false));
+on("flip", () => {
   facing = facing === "environment" ? "user" : "environment";
   camera({ facing });
 });
-byId("seek").addEventListener("input", ({ target }) => app.player.seek(Number(target.value)));
-byId("add-target").addEventListener("click", add);
-byId("record").addEventListener("click", record);
-byId("key-cancel").addEventListener("click", () => byId("key-dialog").close("cancel"));
-byId("open-keys").addEventListener("click", () => byId("keys-dialog").showModal());
-byId("export").addEventListener("click", ({ target }) => {
-  const { format } = target.closest("button")?.dataset ?? {};
-  if (format) exportBoxes(format);
-});
-byId("export").addEventListener("toggle", ({ newState }) => newState === "open" && above(byId("export"), byId("open-export")));
+on("seek", ({ target }) => app.goTo(Number(target.value)), "input");
+on("add-target", () => intend("add"));
+on("redraw-target", () => intend("correct"));
+on("record", record);
+on("key-cancel", () => byId("key-dialog").close("cancel"));
+on("open-keys", shortcuts);
 byId("settings").elements.camera.addEventListener("change", ({ target }) => camera({ deviceId: target.value }));
 
 const stage = byId("stage");
@@ -50,26 +65,48 @@ for (const kind of ["dragenter", "dragover"]) {
 for (const kind of ["dragleave", "drop"]) stage.addEventListener(kind, () => delete stage.dataset.drop);
 stage.addEventListener("drop", (event) => {
   event.preventDefault();
-  const [file] = event.dataTransfer.files;
-  if (file) app.open(() => openFile(file));
+  const chosen = [...event.dataTransfer.files];
+  if (chosen.length) files(chosen);
 });
+
+const KEYS = {
+  ".": () => app.step(),
+  ",": () => app.back(),
+  a: () => intend("add"),
+  c: correct,
+  r: record,
+  "+": () => app.stage.zoom.step(true),
+  "=": () => app.stage.zoom.step(true),
+  "-": () => app.stage.zoom.step(false),
+  0: () => app.stage.zoom.reset(),
+  "?": shortcuts,
+  Delete: () => app.chosen !== null && app.edits.remove(app.chosen),
+  Backspace: () => app.chosen !== null && app.edits.remove(app.chosen),
+};
 
 document.addEventListener("keydown", (event) => {
   const { target } = event;
-  const busy = target.closest("input, select, textarea, dialog, [popover]");
-  if (busy || event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented) return;
-  const on = target.closest("button, a");
-  const keys = { ".": step, a: add, r: record, Delete: () => app.chosen !== null && app.remove(app.chosen) };
-  if (event.key === " " && !on) playOrPause();
-  else if (/^[1-9]$/.test(event.key)) app.choose(Number(event.key));
-  else if (keys[event.key]) keys[event.key]();
-  else return;
+  const busy = target.closest("select, textarea, dialog, [popover], input:not([type=range])");
+  if (busy || event.altKey || event.defaultPrevented) return;
+  const name = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+  if (event.ctrlKey || event.metaKey) {
+    if (name !== "z" && name !== "y") return;
+    app.edits.undo(name === "z" && !event.shiftKey);
+  } else if (event.key === " " && !target.closest("button, a")) {
+    playOrPause();
+  } else if (/^[1-9]$/.test(name)) {
+    app.edits.choose(Number(name));
+  } else if (KEYS[name]) {
+    KEYS[name]();
+  } else {
+    return;
+  }
   event.preventDefault();
 });
 
-addEventListener("pagehide", () => app.tracking?.abandon());
+addEventListener("pagehide", () => app.follower.tracking?.abandon());
 addEventListener("pageshow", ({ persisted }) => persisted && location.reload());
-addEventListener("online", () => app.state === "idle" && connection("Ready", "idle"));
+addEventListener("beforeunload", (event) => app.runs.unsaved && event.preventDefault());
 
 async function camera(which) {
   if (await app.open(() => openCamera(which))) await listCameras();
@@ -77,7 +114,7 @@ async function camera(which) {
 
 async function listCameras() {
   const found = await cameras();
-  const current = app.source?.video.srcObject?.getVideoTracks()[0]?.getSettings().deviceId;
+  const current = app.source?.video?.srcObject?.getVideoTracks()[0]?.getSettings().deviceId;
   const options = found.map(({ deviceId, label }, i) => el("option", { value: deviceId, textContent: label || `Camera ${i + 1}` }));
   byId("settings").elements.camera.replaceChildren(...options);
   if (current) byId("settings").elements.camera.value = current;
@@ -91,41 +128,35 @@ async function follow() {
 }
 
 function playOrPause() {
-  if (!app.source) return;
   if (app.player.playing) app.player.pause();
   else app.play();
 }
 
-function step() {
-  if (app.source) app.player.step();
+function intend(what) {
+  if (!app.run || (what === "correct" && app.chosen === null)) return;
+  app.intent = app.intent === what ? null : what;
+  controls.update();
 }
 
-function add() {
-  if (app.state !== "tracking") return;
-  app.adding = !app.adding;
-  changed();
+/** Correct the chosen target: at once with the keyboard, where the picture has the focus. */
+function correct() {
+  if (document.activeElement === stage && app.run) app.stage.begin(true);
+  else intend("correct");
+}
+
+function shortcuts() {
+  byId("keys-dialog").showModal();
 }
 
 async function record() {
   if (app.recorder.running) {
+    const name = fileName(app.source);
     const { blob, suffix } = await app.recorder.stop();
-    download(blob, `${fileName()}.${suffix}`);
+    download(blob, `${name}.${suffix}`);
   } else if (app.source && Recorder.possible) {
-    app.recorder.start(app.stage.picture);
+    await app.recorder.start(app.stage.picture);
   }
-  changed();
-}
-
-function exportBoxes(format) {
-  const { frames } = app.history;
-  const text = format === "csv" ? toCsv(frames) : toJson(frames, app.source?.name ?? null);
-  download(new Blob([text], { type: format === "csv" ? "text/csv" : "application/json" }), `${fileName()}.${format}`);
-  byId("export").hidePopover();
-}
-
-function fileName() {
-  const stem = (app.source?.name ?? "boxes").replace(/\.[^.]*$/, "").replace(/[^\w-]+/g, "-").toLowerCase();
-  return `mfcmt-${stem}-${new Date().toISOString().slice(0, 19).replace(/[:T]/g, "")}`;
+  controls.update();
 }
 
 async function askKey(error) {
@@ -140,76 +171,7 @@ async function askKey(error) {
   return true;
 }
 
-/** Place the menu above the button that opened it. */
-function above(menu, button) {
-  const { right, top } = button.getBoundingClientRect();
-  const { width, height } = menu.getBoundingClientRect();
-  menu.style.left = `${Math.max(8, right - width)}px`;
-  menu.style.top = `${Math.max(8, top - height - 8)}px`;
-}
-
-/** Update controls and hints to the present state. */
-function changed() {
-  const { state, source, player } = app;
-  const here = source !== null;
-  document.documentElement.dataset.state = state;
-  byId("welcome").hidden = here;
-  byId("change-source").hidden = !here;
-  byId("play").disabled = !here;
-  byId("play").setAttribute("aria-label", player.playing ? "Pause" : player.ended ? "Back to the beginning" : "Play");
-  byId("play-icon").setAttribute("href", player.playing ? "#i-pause" : "#i-play");
-  byId("step").disabled = !here || state === "starting";
-  byId("stop").disabled = state !== "tracking" && state !== "ended";
-  byId("add-target").disabled = state !== "tracking";
-  byId("add-target").setAttribute("aria-pressed", app.adding);
-  byId("open-export").disabled = app.history.frames.length === 0;
-  byId("record").disabled = !here || !Recorder.possible;
-  byId("record").setAttribute("aria-pressed", app.recorder.running);
-  byId("record-text").textContent = app.recorder.running ? "Save" : "Record";
-  byId("recording").hidden = !app.recorder.running;
-  byId("recording-time").textContent = app.clock(app.recorder.seconds).split(".")[0];
-  if (!here || source.live) byId("flip").hidden ||= !here;
-  else byId("flip").hidden = true;
-  position();
-  suggestion();
-  const words = hint();
-  byId("hint").hidden = !words;
-  if (byId("hint").textContent !== words) byId("hint").textContent = words;
-}
-
-function position() {
-  const { source, state } = app;
-  const file = source !== null && !source.live;
-  byId("seek-row").hidden = !file;
-  byId("clock").textContent = source ? (file ? `${app.clock()} / ${app.clock(source.duration)}` : app.clock(source.time)) : "";
-  if (!file) return;
-  byId("seek").max = source.duration;
-  byId("seek").disabled = state !== "open"; // a jump would lose the targets
-  if (document.activeElement !== byId("seek") || state !== "open") byId("seek").value = source.time;
-}
-
-function suggestion() {
-  const box = app.state === "open" ? app.stage.scene.suggestion : null;
-  const button = byId("follow-suggestion");
-  button.hidden = !box || app.stage.scene.draft !== null;
-  if (button.hidden) return;
-  const rect = app.stage.rect();
-  button.style.left = `${rect.x + (box[0] + box[2] / 2) * rect.w - button.offsetWidth / 2}px`;
-  button.style.top = `${rect.y + (box[1] + box[3]) * rect.h + 12}px`;
-}
-
-function hint() {
-  const { state, stage: { byKeys }, player, chosen, adding } = app;
-  if (byKeys) return "Arrows move the box, Shift and arrows resize it, Enter sets it, Esc cancels";
-  if (state === "starting") return "Starting…";
-  if (state === "open") return app.stage.scene.suggestion ? "Or drag a box around anything else" : "Drag a box around what to follow";
-  if (state !== "tracking") return "";
-  if (adding) return "Drag a box around the new target";
-  if (chosen === null) return "Drag a box around what to follow";
-  if (player.ended) return "End of the video";
-  if (app.history.targets.get(chosen)?.status === "lost") return `Target ${chosen} is lost, and the tracker searches for it. Draw a box to correct it.`;
-  return player.playing ? "" : `A new box corrects target ${chosen}`;
-}
-
-changed();
+controls.update();
+exporter.update();
 if (location.hash === "#demo") app.open(openSample).then((opened) => opened && follow());
+else Link.here()?.open(app);

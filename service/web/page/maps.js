@@ -18,15 +18,15 @@ export class Maps {
   #tiles = new Map();
   #shownAt = 0;
 
-  /** Show the maps of `target` (of the history). Without maps, the last ones stay. */
-  async draw(target) {
-    byId("maps-of").textContent = target ? `target ${target.id}` : "";
+  /** Show a target's `maps`, by their names. Without maps, the last ones stay. */
+  async draw(name, maps) {
+    byId("maps-of").textContent = name;
     const now = performance.now();
-    if (!target?.maps || now - this.#shownAt < EVERY_MS) return;
+    if (!maps || now - this.#shownAt < EVERY_MS) return;
     this.#shownAt = now;
-    const names = Object.keys(NAMES).filter((name) => target.maps[name]);
+    const names = Object.keys(NAMES).filter((one) => maps[one]);
     this.#arrange(names);
-    await Promise.all(names.map((name) => this.#paint(name, target.maps[name])));
+    await Promise.all(names.map((one) => this.#paint(one, maps[one])));
   }
 
   clear() {

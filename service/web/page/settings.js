@@ -1,10 +1,11 @@
 // The settings: a form whose values the browser keeps.
 
 import { byId } from "./dom.js";
-import { regionsByDefault } from "/static/client/mfcmt.js";
+import { regionsByDefault } from "../client/mfcmt.js";
 
-const STORE = "mfcmt.settings";
+const STORE = "mfcmt.settings.2";
 const MODE_HELP = {
+  auto: "Every frame of a file is tracked; of a camera the newest one.",
   latest: "The newest frame is sent: the least delay, and late frames are dropped.",
   lossless: "Every frame is answered; a file is played frame by frame.",
 };
@@ -17,7 +18,7 @@ export class Settings {
   /** `onchange(name)` is called after each change. */
   constructor(onchange) {
     const slim = regionsByDefault(); // a phone, or data to be saved
-    const usual = { mode: "latest", maxSide: slim ? 480 : 640, quality: 0.8, regions: slim, maps: !slim, trail: true, preset: "default" };
+    const usual = { mode: "auto", maxSide: slim ? 480 : 640, quality: 0.8, regions: slim, maps: !slim, trail: true, preset: "default" };
     this.values = { ...usual, ...this.#stored() };
     this.#fill();
     this.#form.addEventListener("submit", (event) => event.preventDefault());

@@ -1,47 +1,64 @@
-// The picture, what is drawn over it, and the drawing of boxes by mouse, finger or keyboard.
+// The picture, what is drawn over it, and the drawing and changing of boxes by mouse, finger or keyboard.
 
+import { HANDLES, between, moved, nudged, resized } from "./boxes.js";
 import { crisp } from "./dom.js";
-import { paint } from "./overlay.js";
+import { paint, place } from "./overlay.js";
+import { Zoom } from "./zoom.js";
 
 const LEAST_PX = 5; // a shorter drag is a click
-const MOVE = 0.02;
-const LEAST = 0.01;
+const NEAR_PX = { mouse: 7, touch: 18 };
 
-/** Boxes are fractions of the frame. Calls `onbox(box)`, `onpick(point)`, and `onhold(on)` around the drawing of a box. */
+/**
+ * Boxes are fractions of the frame. Calls `onbox(box, target)` with the target whose box was changed, or null for a new
+ * box; `onpick(point)` for a click; and `onhold(on)` around the drawing of a box.
+ */
 export class Stage {
-  scene = { targets: [], chosen: null, trail: true, draft: null, suggestion: null };
+  scene = { targets: [], chosen: null, other: [], draft: null, suggestion: null };
   armed = false;
-  #corner = null;
-  #pointer = null;
+  /** Whether the next drag draws a new box wherever it begins. */
+  free = false;
+  #drag = null; // {pointer, from, change(point)}
+  #of = null; // the target whose box the draft is
   #dirty = false;
 
   constructor(root, picture, overlay, handlers) {
     Object.assign(this, { root, picture, overlay }, handlers);
+    this.zoom = new Zoom(root, { ratio: () => picture.width / picture.height, begin: () => this.cancel(), changed: () => this.draw() });
     new ResizeObserver(() => this.draw()).observe(root);
     root.addEventListener("pointerdown", (event) => this.#down(event));
     root.addEventListener("pointermove", (event) => this.#move(event));
     root.addEventListener("pointerup", (event) => this.#up(event));
     root.addEventListener("pointercancel", () => this.cancel());
     // A browser may take the end of a quick drag for a fling, and then drops the next tap.
-    root.addEventListener("touchstart", (event) => this.#pointer !== null && event.preventDefault(), { passive: false });
+    root.addEventListener("touchstart", (event) => this.#drag && event.preventDefault(), { passive: false });
     root.addEventListener("keydown", (event) => this.#key(event));
     root.addEventListener("blur", () => this.byKeys && this.cancel());
   }
 
-  /** Whether a box is being drawn with the keyboard. */
-  get byKeys() {
-    return this.scene.draft !== null && this.#corner === null;
+  /** Whether a box is being drawn, by whatever means. */
+  get drawing() {
+    return this.#drag !== null || this.scene.draft !== null;
   }
 
-  /** Show `source` (a canvas or a video) at `size`. */
+  /** Whether a box is being drawn with the keyboard. */
+  get byKeys() {
+    return this.scene.draft !== null && this.#drag === null;
+  }
+
+  focus() {
+    this.root.focus({ preventScroll: true });
+  }
+
+  /** Show what `source` draws (it has `draw(context, width, height)`) at a size. */
   show(source, [width, height]) {
     if (this.picture.width !== width || this.picture.height !== height) Object.assign(this.picture, { width, height });
-    this.picture.getContext("2d").drawImage(source, 0, 0, width, height);
+    source.draw(this.picture.getContext("2d"), width, height);
     this.picture.hidden = this.overlay.hidden = false;
   }
 
   hide() {
     this.cancel();
+    this.zoom.reset();
     this.picture.hidden = this.overlay.hidden = true;
   }
 
@@ -53,77 +70,109 @@ export class Stage {
       this.#dirty = false;
       if (this.overlay.hidden) return;
       const { context, width, height } = crisp(this.overlay);
+      const rect = this.rect();
+      Object.assign(this.picture.style, { left: `${rect.x}px`, top: `${rect.y}px`, width: `${rect.w}px`, height: `${rect.h}px` });
       context.clearRect(0, 0, width, height);
-      paint(context, this.rect(), this.scene);
+      paint(context, rect, { ...this.scene, handles: this.armed && !this.scene.draft });
     });
   }
 
   /** The rectangle of the picture on the stage, in CSS pixels. */
   rect() {
-    const { clientWidth: width, clientHeight: height } = this.overlay;
-    const scale = Math.min(width / this.picture.width, height / this.picture.height);
-    const [w, h] = [this.picture.width * scale, this.picture.height * scale];
-    return { x: (width - w) / 2, y: (height - h) / 2, w, h };
+    return this.zoom.rect(this.root.clientWidth, this.root.clientHeight);
   }
 
   cancel() {
-    if (!this.scene.draft && !this.#corner) return;
-    this.scene.draft = this.#corner = this.#pointer = null;
+    if (!this.scene.draft && !this.#drag) return;
+    this.scene.draft = this.#drag = this.#of = null;
     this.onhold(false);
     this.draw();
   }
 
-  /** Begin a box in the middle, to be moved with the keyboard. */
-  begin() {
-    this.scene.draft = this.scene.suggestion ?? [0.375, 0.375, 0.25, 0.25];
+  /** Begin a box to be moved with the keyboard: the chosen target's (`correcting`), or a new one in the middle. */
+  begin(correcting = false) {
+    const chosen = correcting ? this.#chosen() : null;
+    this.#of = chosen?.id ?? null;
+    this.scene.draft = chosen?.box ?? this.scene.suggestion ?? [0.375, 0.375, 0.25, 0.25];
+    this.focus();
     this.onhold(true);
     this.draw();
   }
 
-  #set() {
-    const box = this.scene.draft;
-    this.scene.draft = this.#corner = this.#pointer = null;
-    this.draw();
-    this.onbox(box);
+  #chosen() {
+    return this.scene.targets.find(({ id }) => id === this.scene.chosen) ?? null;
   }
 
-  #point(event) {
-    const bounds = this.overlay.getBoundingClientRect();
+  #set() {
+    const [box, of] = [this.scene.draft, this.#of];
+    this.scene.draft = this.#drag = this.#of = null;
+    this.draw();
+    this.onbox(box, of);
+  }
+
+  /** The point of an event, in fractions of the picture, and whether it is on it. */
+  #point({ clientX, clientY }) {
+    const bounds = this.root.getBoundingClientRect();
     const rect = this.rect();
-    const [x, y] = [(event.clientX - bounds.left - rect.x) / rect.w, (event.clientY - bounds.top - rect.y) / rect.h];
-    return [Math.min(Math.max(x, 0), 1), Math.min(Math.max(y, 0), 1)];
+    const [x, y] = [(clientX - bounds.left - this.root.clientLeft - rect.x) / rect.w, (clientY - bounds.top - this.root.clientTop - rect.y) / rect.h];
+    const inside = x >= 0 && x <= 1 && y >= 0 && y <= 1;
+    return { point: [Math.min(Math.max(x, 0), 1), Math.min(Math.max(y, 0), 1)], inside };
+  }
+
+  /** What a drag from `point` changes: the chosen box's handle, the box, or null for a new box. */
+  #grip(point, kind) {
+    const chosen = this.free ? null : this.#chosen();
+    if (!chosen) return null;
+    const rect = this.rect();
+    const near = NEAR_PX[kind] ?? NEAR_PX.mouse;
+    const [x, y, w, h] = place(chosen.box, rect);
+    const [px, py] = [rect.x + point[0] * rect.w, rect.y + point[1] * rect.h];
+    const small = Math.min(w, h) < 4 * near; // then the corners alone, or there would be nothing to move it by
+    const handle = HANDLES.slice(0, small ? 4 : 8).find((one) => Math.hypot(px - x - one.x * w, py - y - one.y * h) <= near / (small ? 2 : 1));
+    const inside = px >= x && px <= x + w && py >= y && py <= y + h;
+    return handle || inside ? { chosen, handle: handle ?? null } : null;
   }
 
   #down(event) {
-    if (!this.armed || event.button !== 0 || this.#pointer !== null || event.target.closest("button")) return;
-    this.root.focus({ preventScroll: true });
-    this.#pointer = event.pointerId;
-    this.#corner = this.#point(event);
+    if (!this.armed || event.button !== 0 || event.target.closest("button") || this.zoom.busy) return;
+    const { point: from, inside } = this.#point(event);
+    if (this.#drag || (event.pointerType === "touch" && !inside)) return;
+    this.focus();
+    const grip = this.#grip(from, event.pointerType);
     this.scene.draft = null;
+    this.#of = grip?.chosen.id ?? null;
+    this.#drag = { pointer: event.pointerId, from, change: changes(grip, from) };
     this.root.setPointerCapture(event.pointerId);
     this.onhold(true);
     event.preventDefault();
   }
 
   #move(event) {
-    if (event.pointerId !== this.#pointer || !this.#corner) return;
-    const [x, y] = this.#point(event);
-    const [left, top] = [Math.min(x, this.#corner[0]), Math.min(y, this.#corner[1])];
-    const box = [left, top, Math.abs(x - this.#corner[0]), Math.abs(y - this.#corner[1])];
+    const { point } = this.#point(event);
+    if (!this.#drag) {
+      const grip = this.armed && event.pointerType === "mouse" ? this.#grip(point, "mouse") : null;
+      this.root.style.cursor = grip ? (grip.handle?.cursor ?? "move") : "";
+      return;
+    }
+    if (event.pointerId !== this.#drag.pointer) return;
+    const { from, change } = this.#drag;
     const rect = this.rect();
-    this.scene.draft = Math.min(box[2] * rect.w, box[3] * rect.h) < LEAST_PX ? null : box;
+    const far = Math.hypot((point[0] - from[0]) * rect.w, (point[1] - from[1]) * rect.h);
+    const box = change(point);
+    const large = Math.min(box[2] * rect.w, box[3] * rect.h) >= LEAST_PX;
+    this.scene.draft = large && (this.scene.draft || far >= (this.#of === null ? 0 : 2)) ? box : null;
     this.draw();
   }
 
   #up(event) {
-    if (event.pointerId !== this.#pointer) return;
+    if (event.pointerId !== this.#drag?.pointer) return;
     if (this.scene.draft) {
       this.#set();
       return;
     }
-    const point = this.#corner;
+    const { from } = this.#drag;
     this.cancel();
-    this.onpick(point);
+    this.onpick(from);
   }
 
   #key(event) {
@@ -135,7 +184,7 @@ export class Stage {
     } else if (event.key === "Escape" && draft) {
       this.cancel();
     } else if (this.byKeys && event.key.startsWith("Arrow")) {
-      this.scene.draft = nudged(draft, event, event.altKey ? 1 / this.picture.width : MOVE);
+      this.scene.draft = nudged(draft, event, 1 / this.picture.width);
       this.draw();
     } else {
       return;
@@ -145,10 +194,10 @@ export class Stage {
   }
 }
 
-function nudged([x, y, w, h], { key, shiftKey }, by) {
-  const across = key === "ArrowRight" ? by : key === "ArrowLeft" ? -by : 0;
-  const down = key === "ArrowDown" ? by : key === "ArrowUp" ? -by : 0;
-  const fit = (value, least, most) => Math.min(Math.max(value, least), most);
-  if (shiftKey) return [x, y, fit(w + across, LEAST, 1 - x), fit(h + down, LEAST, 1 - y)];
-  return [fit(x + across, 0, 1 - w), fit(y + down, 0, 1 - h), w, h];
+/** How the box follows the pointer that was pressed at `from`. */
+function changes(grip, from) {
+  const by = (to) => [to[0] - from[0], to[1] - from[1]];
+  if (!grip) return (to) => between(from, to);
+  if (grip.handle) return (to) => resized(grip.chosen.box, grip.handle, by(to));
+  return (to) => moved(grip.chosen.box, by(to));
 }

@@ -1,8 +1,8 @@
 // Live strips of the chosen target: its confidence, the three scores and the fused map's peak.
 
 import { byId, colour, crisp, el } from "./dom.js";
-import { KEPT } from "./history.js";
 
+export const KEPT = 240; // samples of a strip
 const THRESHOLDS = [0.4, 0.2]; // of the confidence: tracking from the first on, lost after a second below the other
 
 const STRIPS = [
@@ -17,7 +17,7 @@ export class Strips {
   #rows = STRIPS.map((strip) => {
     const canvas = el("canvas", { role: "img" });
     canvas.setAttribute("aria-label", strip.help);
-    const value = el("output", { textContent: "–" });
+    const value = el("span", { className: "value", textContent: "–" }); // no <output>: it would be read out at each change
     const row = el("div", { className: "strip", title: strip.help }, el("span", { className: "name", textContent: strip.name }), canvas, value);
     row.dataset.key = strip.key;
     return { ...strip, canvas, value, row };
@@ -27,10 +27,9 @@ export class Strips {
     byId("strips").append(...this.#rows.map(({ row }) => row));
   }
 
-  /** Draw the samples of `target` (of the history), or nothing. */
-  draw(target) {
-    byId("strips-of").textContent = target ? `target ${target.id}` : "";
-    const samples = target?.samples ?? [];
+  /** Draw the rows `samples` of the target with this name, or nothing. */
+  draw(name, samples) {
+    byId("strips-of").textContent = name;
     for (const strip of this.#rows) {
       const values = samples.map((sample) => valueOf(strip.key, sample));
       const passed = samples.map((sample) => hasPassed(strip.key, sample));

@@ -1,10 +1,13 @@
-// One run: a session, its stream, and the map from its targets to the page's numbers.
+// One session with its stream, and the map from its targets to the run's numbers.
 
-import { Client } from "/static/client/mfcmt.js";
+import { Client } from "../client/mfcmt.js";
 
 const KEY = "mfcmt.key";
 const IDLE_S = 120; // a page that vanished does not keep its place for long
 const WAIT_MS = 5000; // for a lane or a place
+
+/** The address of the service: the page's own, also behind a proxy that has it under a path. */
+export const HOME = new URL("../../", import.meta.url).href.replace(/\/$/, "");
 
 /** The API key of this tab, if there is one. */
 export const key = {
@@ -15,31 +18,37 @@ export const key = {
 
 /**
  * Calls `onresult(result, ids, frame)`, `onstatus(change)`, `onproblem(error)`, `onend(error)`, and `onspare(frame)` for
- * frames, `{canvas, time}`, that may be reused. `number()` returns a number for a new target.
+ * frames, `{canvas, time, index}`, that may be reused.
  */
 export class Tracking {
-  #ids = new Map();
+  /** The numbers of the targets that are followed. */
+  ids = new Set();
+  #ids = new Map(); // the session's number → the run's
+  #coming = []; // the run's numbers of targets that are being added, in order
   #frames = new Map();
   #sent = 0;
+  #heardAt = 0;
   #ended = false;
 
   constructor(handlers) {
     Object.assign(this, handlers);
   }
 
-  /** Start on `frame` with `boxes` (pixels of it), numbered `ids` on the page. */
-  async start(frame, boxes, ids, { mode, quality, regions, maps, preset, label }) {
-    this.client = new Client({ key: key.get() });
+  /** Start on `frame` with `placed`: `{target, box}`, boxes in fractions of it. */
+  async start(frame, placed, { mode, quality, regions, maps, preset, label }) {
+    this.ids = new Set(placed.map(({ target }) => target));
+    this.client = new Client({ url: HOME, key: key.get() });
     // so that a phone may be rotated
     const options = { preset, maps, on_resize: "rescale", label: label.slice(0, 200), idle_timeout_s: IDLE_S };
+    const boxes = placed.map(({ box }) => pixels(box, frame));
     this.session = await this.client.createSession({ frame: frame.canvas, boxes, options, quality, waitMs: WAIT_MS });
     if (this.#ended) {
       this.session.close().catch(() => {});
       return;
     }
     const { seq, size, targets } = this.session.info;
-    targets.forEach((target, i) => this.#ids.set(target.id, ids[i]));
-    this.onresult({ seq, size, targets, timing: null }, ids, frame);
+    targets.forEach((target, i) => this.#ids.set(target.id, placed[i].target));
+    this.onresult({ seq, size, targets, timing: null }, this.#numbered(targets), frame);
     this.onspare(frame);
     this.attach({ mode, quality, regions });
   }
@@ -65,11 +74,17 @@ export class Tracking {
     return Boolean(this.stream?.canSend);
   }
 
+  /** For how long an answer has been due, in milliseconds. */
+  get silentMs() {
+    const [oldest] = this.#frames.values();
+    return oldest ? performance.now() - Math.max(this.#heardAt, oldest.sentAt) : 0;
+  }
+
   /** Send a frame. Resolves when the next one may be sent. */
   async send(frame, options = {}) {
     const { stream } = this;
     const ts = ++this.#sent;
-    this.#frames.set(ts, frame);
+    this.#frames.set(ts, { ...frame, sentAt: performance.now() });
     try {
       const seq = await stream.send(frame.canvas, { ts, ...options });
       if (seq === null) this.#release(ts);
@@ -79,30 +94,34 @@ export class Tracking {
     }
   }
 
-  /** Add a target on this frame, or correct `target` (the page's number). */
-  async place(frame, box, target = null) {
+  /** Set boxes on this frame: `placed` are `{target, box}`; targets that are not followed yet are added. */
+  async place(frame, placed) {
     const { stream } = this;
     await stream.ready;
-    const onNext = { onNext: true };
-    const answer = target === null ? stream.add(box, onNext) : stream.correct(this.#server(target), box, onNext);
-    answer.catch(() => {}); // until it is awaited below
-    await this.send(frame, { whole: true });
-    return answer;
-  }
-
-  remove(target) {
-    return this.stream.remove(this.#server(target));
-  }
-
-  /** The page's numbers for these targets. */
-  numbered(targets) {
-    return targets.map(({ id }) => {
-      if (!this.#ids.has(id)) this.#ids.set(id, this.number());
-      return this.#ids.get(id);
+    const answers = placed.map(({ target, box }) => {
+      const [of, on] = [pixels(box, frame), { onNext: true }];
+      if (this.ids.has(target)) return stream.correct(this.#server(target), of, on);
+      this.#coming.push(target);
+      return stream.add(of, on).then(
+        () => this.ids.add(target),
+        (error) => {
+          this.#coming = this.#coming.filter((one) => one !== target);
+          throw error;
+        },
+      );
     });
+    const all = Promise.all(answers);
+    all.catch(() => {}); // until it is awaited below
+    await this.send(frame, { whole: true });
+    await all;
   }
 
-  /** End the run and its session. */
+  async remove(target) {
+    await this.stream.remove(this.#server(target));
+    this.ids.delete(target);
+  }
+
+  /** End the session. */
   stop() {
     if (this.#ended) return;
     this.#ended = true;
@@ -113,7 +132,8 @@ export class Tracking {
   /** End the session while the page is being closed. */
   abandon() {
     if (!this.session || this.#ended) return;
-    const last = new Client({ key: key.get(), fetch: (url, options) => fetch(url, { ...options, keepalive: true }) });
+    const keepalive = (url, options) => fetch(url, { ...options, keepalive: true });
+    const last = new Client({ url: HOME, key: key.get(), fetch: keepalive });
     last.deleteSession(this.session.id).catch(() => {});
   }
 
@@ -121,12 +141,21 @@ export class Tracking {
     try {
       for await (const result of stream) {
         if (this.stream !== stream || this.#ended) return;
-        this.onresult(result, this.numbered(result.targets), this.#frames.get(result.ts));
+        this.#heardAt = performance.now();
+        this.onresult(result, this.#numbered(result.targets), this.#frames.get(result.ts));
         for (const ts of this.#frames.keys()) if (ts <= result.ts) this.#release(ts);
       }
     } catch (error) {
       if (this.stream === stream && !this.#ended) this.onend(error);
     }
+  }
+
+  /** The run's numbers for these targets. */
+  #numbered(targets) {
+    return targets.map(({ id }) => {
+      if (!this.#ids.has(id)) this.#ids.set(id, this.#coming.shift());
+      return this.#ids.get(id);
+    });
   }
 
   #server(target) {
@@ -139,3 +168,5 @@ export class Tracking {
     if (this.#frames.delete(ts)) this.onspare(frame);
   }
 }
+
+const pixels = ([x, y, w, h], { canvas: { width, height } }) => [x * width, y * height, w * width, h * height];

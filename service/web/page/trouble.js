@@ -1,6 +1,6 @@
 // Reports faults, refusals and recoveries to the user.
 
-import { connection, log, notice } from "./panels.js";
+import { log, notice } from "./panels.js";
 import { explain } from "./problems.js";
 
 const SAME_PROBLEM_MS = 3000;
@@ -17,13 +17,11 @@ export class Trouble {
   /** Handle a change of the stream's status. */
   status({ status }) {
     if (status === "open") {
-      connection("Tracking", "good");
       if (!this.lost) return;
       this.lost = false;
       log.add(this.clock(), "Connection", "is back; tracking goes on");
       notice.hide();
     } else if (status === "resuming" || status === "draining") {
-      connection("Reconnecting…", "busy");
       if (this.lost) return;
       this.lost = true;
       const text = status === "draining" ? "The server is being restarted." : "The network or the server failed.";
@@ -51,7 +49,7 @@ export class Trouble {
   tell(error, { again = null, restart = null } = {}) {
     const told = explain(error);
     const ask = async () => (await this.askKey(error)) && (again ?? restart)?.();
-    notice.show(told, { onaction: { again, restart, key: ask }[told.action] });
+    notice.show(told, { onaction: { again: again ?? restart, restart: restart ?? again, key: ask }[told.action] });
     if (told.action === "key") ask();
   }
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from pathlib import Path
 
@@ -30,17 +31,43 @@ async def test_the_page_and_its_policy(wire: Wire) -> None:
     assert not re.search(r"(?:src|href)=\"(?:https?:)?//", html)
 
 
+def named(file: Path) -> set[Path]:
+    """The files of the page that one of them names: by an import, or by an attribute."""
+    text = file.read_text()
+    if file.suffix == ".js":
+        found = re.findall(r"""(?:from|import\(|new URL\()\s*["'](\.{1,2}/[^"'$]*\.\w+)["']""", text)
+        return {(file.parent / one).resolve() for one in found}
+    home = ROOT / "page" if file.suffix == ".webmanifest" else ROOT.parent
+    found = re.findall(r"[\"'](\./[\w./-]+\.\w+)[\"']", text)
+    return {Path(str(home / one).replace("service/static/", "service/web/")).resolve() for one in found}
+
+
 async def test_every_file_that_is_named_is_there(wire: Wire) -> None:
-    files = [*(ROOT / "page").rglob("*.js"), *(ROOT / "page").glob("*.html"), *(ROOT / "page").glob("*.webmanifest")]
-    named = {ref for file in files for ref in re.findall(r"[\"'`](/static/[\w./-]+\.\w+)", file.read_text())}
-    named |= {
-        f"/static/page/{n}" for f in files if f.suffix == ".js" for n in re.findall(r'from "\./(.+?)"', f.read_text())
-    }
-    assert len(named) > 20
-    for path in named:
-        answer = await wire.http.get(path)
+    own = [file for file in (ROOT / "page").rglob("*.js") if "vendor" not in file.parts]
+    files = [*own, *(ROOT / "page").glob("*.html"), *(ROOT / "page").glob("*.webmanifest")]
+    wanted = {path.relative_to(ROOT) for file in files for path in named(file)}
+    assert len(wanted) > 40
+    for path in wanted:
+        answer = await wire.http.get(f"/static/{path}")
         assert answer.status_code == 200, path
-        assert answer.headers["content-type"] == web.KINDS[path[path.rindex(".") :]]
+        assert answer.headers["content-type"] == web.KINDS[path.suffix]
+
+
+def test_no_file_of_the_page_has_an_absolute_path() -> None:
+    """So that a proxy may have the service at any path."""
+    for file in (ROOT / "page").rglob("*"):
+        if file.suffix in (".js", ".html", ".webmanifest", ".css") and "vendor" not in file.parts:
+            assert not re.search(r"""["'(`]/(?:static|docs|v1|openapi)""", file.read_text()), file
+
+
+def test_vendored_files_are_those_of_their_packages() -> None:
+    vendor = ROOT / "page" / "vendor"
+    sums = dict(
+        line.split()[::-1] for line in re.findall(r"^[0-9a-f]{64} .*$", (vendor / "README.md").read_text(), re.M)
+    )
+    assert set(sums) == {str(path.relative_to(vendor)) for path in vendor.glob("*/*")}
+    for name, digest in sums.items():
+        assert hashlib.sha256((vendor / name).read_bytes()).hexdigest() == digest
 
 
 async def test_a_file_is_sent_once(wire: Wire) -> None:

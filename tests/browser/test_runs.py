@@ -1,0 +1,221 @@
+"""Nobody's work vanishes unasked: runs, new targets, corrections, undo."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from .conftest import Open, loop
+from .driver import Tracker
+from .films import BOX, even, film, times_of
+from .test_track import BALLOON, GREEN
+
+pytestmark = loop
+COUNT = 60
+TWO = "document.querySelectorAll('#targets li').length === 2"
+
+
+async def begun(user: Tracker, folder: Path) -> None:
+    film(folder / "film.mp4", even(COUNT, 25))
+    await user.open_file(folder / "film.mp4")
+    await user.draw(BOX)
+
+
+async def of(user: Tracker, target: int) -> dict[int, list[float]]:
+    """The boxes of a target by the number of the frame."""
+    frames = (await user.boxes())["frames"]
+    return {f["frame"]: row["box"] for f in frames for row in f["targets"] if row["target"] == target}
+
+
+async def test_a_new_box_is_a_new_target_and_the_chosen_one(open_page: Open) -> None:
+    async with open_page() as user:
+        await user.choose("sample")
+        await user.draw(BALLOON)
+        await user.frames(5)
+        await user.pause()
+        balloon = (await of(user, 1)).popitem()[1]
+        await user.draw(GREEN)
+        await user.until(TWO)
+        assert await user.page.get_attribute("#targets li[data-target='2']", "data-chosen") == "true"
+        x, y, w, h = GREEN
+        await user.drag((x + w, y + h), (x + w + 6, y + h + 6))  # a handle: better, and still target 2
+        await user.until("document.getElementById('log').innerText.includes('Target 2 corrected')")
+        await user.until("document.querySelector('#targets li[data-target=\"2\"] .where').innerText.endsWith(' 46 62')")
+        assert await user.page.locator("#targets li").count() == 2
+        assert (await of(user, 1)).popitem()[1] == pytest.approx(balloon, abs=3)
+
+
+async def test_a_correction_is_undone_and_done_again(open_page: Open, tmp_path: Path) -> None:
+    async with open_page() as user:
+        await begun(user, tmp_path)
+        await user.frames(10)
+        await user.pause()
+        at, (x, y, w, h) = (await of(user, 1)).popitem()
+        await user.drag((x + w / 2, y + h / 2), (x + w / 2 + 40, y + h / 2 + 20))
+        await user.until("document.getElementById('log').innerText.includes('corrected')")
+        moved = (await of(user, 1))[at]
+        assert moved[0] == pytest.approx(x + 40, abs=1.5)
+        await user.page.keyboard.press("Control+z")
+        assert (await of(user, 1))[at] == pytest.approx((x, y, w, h), abs=0.01)
+        await user.page.keyboard.press("Control+Shift+z")
+        assert (await of(user, 1))[at] == pytest.approx(moved, abs=0.01)
+        await user.page.keyboard.press("Control+z")
+        await user.page.click("#play")  # and tracking goes on from there
+        await user.end()
+        assert sorted(await of(user, 1)) == list(range(COUNT))
+
+
+async def test_a_target_is_tracked_again_from_where_it_drifted(open_page: Open, tmp_path: Path) -> None:
+    """Go back, move the box: what follows is replaced, other targets keep theirs, and undo brings all back."""
+    async with open_page() as user:
+        await begun(user, tmp_path)
+        await user.frames(3)
+        await user.pause()
+        await user.draw((200, 150, 50, 50))
+        await user.until(TWO)
+        await user.page.click("#play")
+        await user.end()
+        before, other = await of(user, 1), await of(user, 2)
+        await user.page.keyboard.press("1")
+        await user.go_to(20)
+        x, y, w, h = before[20]
+        await user.drag((x + w / 2, y + h / 2), (x + w / 2 - 15, y + h / 2))
+        await user.until("document.getElementById('log').innerText.includes('Target 1 corrected')")
+        after = await of(user, 1)
+        assert sorted(after) == list(range(21))
+        assert after[20][0] == pytest.approx(x - 15, abs=1.5)
+        await user.page.click("#play")
+        await user.end()
+        again = await of(user, 1)
+        assert sorted(again) == list(range(COUNT))
+        assert {frame: again[frame] for frame in range(20)} == {frame: before[frame] for frame in range(20)}
+        assert await of(user, 2) == other
+        await user.page.keyboard.press("Control+z")
+        assert await of(user, 1) == before
+
+
+async def test_runs_stay_in_the_list(open_page: Open, tmp_path: Path) -> None:
+    async with open_page() as user:
+        await begun(user, tmp_path)
+        await user.frames(10)
+        await user.page.click("#stop")
+        await user.draw((150, 120, 60, 60))  # a second run
+        await user.frames(5)
+        await user.page.click("#change-source")
+        await user.choose("sample")
+        assert await user.page.locator("#runs li").count() == 2
+        await user.page.click("#runs li[data-run='1'] .pick")  # its film is opened again
+        await user.until("document.getElementById('clock').innerText.includes('/ 0:02.4')")
+        assert len((await user.boxes())["frames"]) >= 10
+        await user.page.click("#runs li[data-run='1'] [data-part=remove]")
+        assert await user.page.locator("#runs li").count() == 1
+        await user.page.keyboard.press("Control+z")
+        assert await user.page.locator("#runs li").count() == 2
+
+
+async def test_leaving_with_boxes_that_were_not_exported_asks(open_page: Open) -> None:
+    async with open_page() as user:
+        asked: list[str] = []
+
+        async def stay(dialog: object) -> None:
+            asked.append(dialog.type)  # type: ignore[attr-defined]
+            await dialog.dismiss()  # type: ignore[attr-defined]
+
+        await user.follow_sample(5)
+        user.page.on("dialog", stay)
+        await user.page.close(run_before_unload=True)
+        await user.page.wait_for_timeout(500)
+        assert asked == ["beforeunload"]
+        await user.pause()
+        await user.boxes()
+        user.page.remove_listener("dialog", stay)
+        assert not await user.page.evaluate("!window.dispatchEvent(new Event('beforeunload', {cancelable: true}))")
+
+
+async def test_the_api_opens_beside_the_page(open_page: Open) -> None:
+    async with open_page() as user:
+        assert await user.page.get_attribute(".bar-end a", "target") == "_blank"
+
+
+async def test_the_list_is_that_of_the_picture_after_a_correction_in_pause(open_page: Open) -> None:
+    async with open_page() as user:
+        await user.follow_sample(5)
+        await user.pause()
+        x, y, w, h = (await of(user, 1)).popitem()[1]
+        await user.drag((x + w / 2, y + h / 2), (x + w / 2 - 60, y + h / 2 + 30))
+        place = f"{round(x - 60)} {round(y + 30)} {round(w)} {round(h)}"
+        shown = "document.querySelector('#targets .where').innerText.split(' ').map(Number)"
+        wanted = [int(value) for value in place.split()]
+        await user.until(f"{shown}.every((value, i) => Math.abs(value - {wanted}[i]) <= 2)")
+
+
+async def test_a_recording_is_kept_when_the_source_changes(open_page: Open) -> None:
+    async with open_page() as user:
+        await user.follow_sample(3)
+        await user.page.click("#record")
+        await user.frames(20)
+        async with user.page.expect_download() as saved:
+            await user.page.click("#change-source")
+        assert (await saved.value).suggested_filename.startswith("mfcmt-sample-clip-")
+        assert not await user.page.is_visible("#recording")
+
+
+async def test_an_exported_run_is_imported_and_compared(open_page: Open, tmp_path: Path) -> None:
+    """The same boxes again: every frame agrees with the run that they are from."""
+    async with open_page() as user:
+        await begun(user, tmp_path)
+        await user.end()
+        exported = await user.export("json")
+        (tmp_path / "run.json").write_bytes(exported.read_bytes())
+        await user.page.set_input_files("#import-file", tmp_path / "run.json")
+        await user.until("document.querySelectorAll('#runs li').length === 2")
+        again = await user.boxes()
+        first = await user.page.evaluate("document.querySelectorAll('#runs li')[1].dataset.chosen")
+        assert first == "true"
+        assert [f["targets"][0]["box"] for f in again["frames"]] == [
+            f["targets"][0]["box"] for f in json.loads((tmp_path / "run.json").read_text())["frames"]
+        ]
+        await user.page.click("#runs li[data-run='1'] [data-part=compare]")
+        says = f"overlap 1.00, above half in 100 % of {COUNT} boxes"
+        await user.until(f"document.getElementById('runs').innerText.includes('{says}')")
+        (tmp_path / "wrong.json").write_text('{"form": "another"}')
+        await user.page.set_input_files("#import-file", tmp_path / "wrong.json")
+        await user.until("document.getElementById('notice').innerText.includes('cannot be imported')")
+        assert await user.page.locator("#runs li").count() == 2
+
+
+async def test_a_video_is_rendered_from_the_results(open_page: Open, tmp_path: Path) -> None:
+    async with open_page() as user:
+        await begun(user, tmp_path)
+        await user.end()
+        await user.page.click("#open-export")
+        async with user.page.expect_download() as saved:
+            await user.page.click("#render")
+        made = tmp_path / (await saved.value).suggested_filename
+        await (await saved.value).save_as(made)
+        assert len(times_of(made)) == COUNT
+        assert times_of(made) == pytest.approx(even(COUNT, 25), abs=2e-3)
+
+
+async def test_the_code_is_that_of_the_run(open_page: Open, tmp_path: Path) -> None:
+    async with open_page() as user:
+        await begun(user, tmp_path)
+        await user.frames(3)
+        await user.pause()
+        await user.page.click("#open-export")
+        await user.page.click("#open-code")
+        kinds = {"curl": "-F boxes='[[", "python": '"film.mp4"', "javascript": "createSession", "result": '"status"'}
+        for kind, says in kinds.items():
+            await user.page.select_option("#code-kind", kind)
+            assert says in await user.page.input_value("#code")
+        await user.page.click("#code-dialog .primary")
+
+
+async def test_a_link_opens_a_source_with_its_box(open_page: Open) -> None:
+    async with open_page() as user:
+        await user.page.goto(f"{user.url}/?src=static/page/sample.webm&box=278,184,84,112")
+        await user.frames(5)
+        first = (await user.boxes())["frames"][0]["targets"][0]["box"]
+        assert first == pytest.approx(BALLOON, abs=0.01)
