@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 from ..lanes.interface import AtCapacity, Lanes
 from ..observability.metrics import Metrics
@@ -105,7 +105,7 @@ class Admission:
             except AtCapacity:
                 if not any(lane.ready for lane in self._lanes.status()):
                     raise self._refusal(ProblemCode.AT_CAPACITY, NO_LANE) from None
-                raise self._full(ProblemCode.AT_CAPACITY, NO_PLACE, self._sessions.values()) from None
+                raise self._full() from None
 
     def _check_quota(self, owner: str) -> None:
         """Raises over-quota for an owner with as many sessions as it may have, including those that start."""
@@ -114,19 +114,20 @@ class Admission:
             return
         self._sweep()
         if self._count(owner) >= most:
-            own = [session for session in self._sessions.values() if session.owner == owner]
-            raise self._full(ProblemCode.OVER_QUOTA, f"at most {most} sessions of a key", own)
+            raise self._refusal(ProblemCode.OVER_QUOTA, f"at most {most} sessions of a key")
 
     def _count(self, owner: str) -> int:
         return self._starting[owner] + sum(session.owner == owner for session in self._sessions.values())
 
-    def _full(self, code: ProblemCode, detail: str, sessions: Iterable[Session]) -> ProblemError:
-        """Return the refusal of a session that finds all of ``sessions`` in its place, with the time when one ends."""
+    def _full(self) -> ProblemError:
+        """Return the refusal of a session that finds no place, and when the first one ends that nobody uses."""
+        sessions = self._sessions.values()
         unused = [self._seconds_left(one) for one in sessions if one.attachment is None and not one.busy]
         if not unused:
-            return self._refusal(code, f"{detail}: all are in use", UNKNOWN_WAIT_S)
+            return self._refusal(ProblemCode.AT_CAPACITY, f"{NO_PLACE}: all are in use", UNKNOWN_WAIT_S)
         wait_s = max(LEAST_WAIT_S, math.ceil(min(unused)))
-        return self._refusal(code, f"{detail}: one that nobody uses ends in {wait_s:.0f} s, if not earlier", wait_s)
+        detail = f"{NO_PLACE}: one that nobody uses ends in {wait_s:.0f} s, if not earlier"
+        return self._refusal(ProblemCode.AT_CAPACITY, detail, wait_s)
 
     def _refusal(self, code: ProblemCode, detail: str, retry_after_s: float = LEAST_WAIT_S) -> ProblemError:
         self._metrics.refused_sessions.labels(reason=code).inc()
