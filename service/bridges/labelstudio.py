@@ -65,6 +65,7 @@ class LabelStudio:
     def __init__(self, service: Service) -> None:
         self._service = service
         self._projects: TTLCache[tuple[str, str]] = TTLCache(MAX_PROJECTS, KEEP_S, time.monotonic)
+        self._client = videos.make_client()
         self._slots = ConcurrencyLimit(VIDEOS_AT_ONCE, WAIT_S, "videos")
 
     async def health(self, _caller: Caller) -> Response:
@@ -126,7 +127,7 @@ class LabelStudio:
         def headers_of(where: str) -> dict[str, str]:
             return {"Authorization": f"Token {token}"} if token and where == home else {}
 
-        async with videos.fetched(url, self._service.settings, headers_of) as path:
+        async with videos.fetched(self._client, url, self._service.settings, headers_of) as path:
             first = min(tracks, key=lambda track: track.start)
             found = videos.frames(path, (first.start - 1) / first.fps, self._service.settings)
             async with aclosing(found) as read_frames:

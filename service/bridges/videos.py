@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from http.cookiejar import CookieJar, DefaultCookiePolicy
 from pathlib import Path
 from urllib.parse import urljoin, urlsplit
 
@@ -24,6 +25,7 @@ from .video_frames import HEAD
 logging.getLogger("httpx2").setLevel(logging.WARNING)
 MAX_REDIRECTS = 3
 FETCH_S = 30.0
+AS_IT_IS = {"Accept-Encoding": "identity"}  # what is sent packed could unpack to any size
 PORTS = {"http": 80, "https": 443}
 
 
@@ -37,8 +39,19 @@ class VideoFrame:
     jpeg: bytes
 
 
+def make_client() -> httpx2.AsyncClient:
+    """Return the client that fetches. It follows no redirection, keeps no cookie, and reads no variable for a proxy.
+
+    It is made once, because to load its modules and certificates takes the event loop for long.
+    """
+    cookies = CookieJar(DefaultCookiePolicy(allowed_domains=[]))
+    return httpx2.AsyncClient(follow_redirects=False, trust_env=False, cookies=cookies)
+
+
 @asynccontextmanager
-async def fetched(url: str, settings: Settings, headers_of: Callable[[str], dict[str, str]]) -> AsyncIterator[Path]:
+async def fetched(
+    client: httpx2.AsyncClient, url: str, settings: Settings, headers_of: Callable[[str], dict[str, str]]
+) -> AsyncIterator[Path]:
     """Yield a file with what is at ``url``, which is removed afterwards.
 
     ``headers_of`` returns the headers for a host, as ``host:port``: each hop of a redirection is asked anew, so that a
@@ -46,17 +59,17 @@ async def fetched(url: str, settings: Settings, headers_of: Callable[[str], dict
     """
     with tempfile.TemporaryDirectory(prefix="mfcmt-video-") as folder, (Path(folder) / "video").open("wb") as file:
         try:
-            async with asyncio.timeout(FETCH_S), httpx2.AsyncClient(follow_redirects=False, trust_env=False) as client:
+            async with asyncio.timeout(FETCH_S):
                 for _ in range(1 + MAX_REDIRECTS):
                     host = _allowed(url, settings)
-                    async with client.stream("GET", url, headers=headers_of(host)) as answer:
+                    async with client.stream("GET", url, headers=AS_IT_IS | headers_of(host)) as answer:
                         if answer.is_redirect:
                             url = urljoin(url, answer.headers.get("location", ""))
                             continue
                         if answer.status_code != 200:
                             raise _bad(f"{host} answered with {answer.status_code} instead of the video")
                         size = 0
-                        async for part in answer.aiter_bytes(64 * 1024):
+                        async for part in answer.aiter_raw(64 * 1024):
                             size += len(part)
                             if size > settings.max_video_bytes:
                                 detail = f"a video has at most {settings.max_video_bytes} bytes"

@@ -14,7 +14,8 @@ import pytest
 
 from mfcmt_core.geometry import Image
 from mfcmt_core.otb import DataError, Dataset, ResultFolder, ResultStore, evaluate, open_otb
-from mfcmt_core.otb.results import read_trust, trust_path
+from mfcmt_core.otb.dataset import ONE_BASED
+from mfcmt_core.otb.results import read_result, read_trust, trust_path
 from mfcmt_core.otb.runner import judged
 
 
@@ -138,6 +139,22 @@ def test_results_take_part_as_a_folder(three: Dataset, tmp_path: Path) -> None:
         (ours,) = evaluate(three, [Made()], protocol, results=tmp_path, jobs=1)
         (theirs,) = evaluate(three, [ResultFolder("copy", tmp_path / protocol / "still")], protocol)
         assert theirs.success == pytest.approx(ours.success, abs=1e-12)
+
+
+@pytest.mark.parametrize("tool", ["got10k", "pysot"])
+def test_results_of_other_tools_take_part_as_a_folder(three: Dataset, tmp_path: Path, tool: str) -> None:
+    """got10k writes three decimals, pysot ``str`` of each number; both keep the files' 1-based boxes."""
+    (ours,) = evaluate(three, [Made()], jobs=1, results=tmp_path / "ours")
+    folder = tmp_path / tool / "OTB100" / "still"
+    folder.mkdir(parents=True)
+    for name in three.sequences:
+        boxes = read_result(tmp_path / "ours" / "OPE" / "still" / f"{name}.txt", three[name]) + ONE_BASED
+        if tool == "got10k":
+            np.savetxt(folder / f"{name}.txt", boxes, fmt="%.3f", delimiter=",")
+        else:
+            (folder / f"{name}.txt").write_text("".join(",".join(map(str, map(float, box))) + "\n" for box in boxes))
+    (theirs,) = evaluate(three, [ResultFolder(tool, folder)])
+    assert theirs.success == pytest.approx(ours.success, abs=1e-12)
 
 
 def test_scores_of_a_still_tracker_are_what_the_truth_says(three: Dataset) -> None:

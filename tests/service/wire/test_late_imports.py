@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import base64
+import json
 from typing import Any
 
 import msgpack
@@ -31,11 +33,12 @@ gc.freeze = freeze_and_tell
 
 
 async def test_no_call_or_stream_loads_a_module(clip: Clip) -> None:
-    with OwnServer(prelude=TELL, lanes=1, api_keys=KEY) as server:
+    with OwnServer(prelude=TELL, lanes=1, api_keys=KEY, bridges="kserve,cvat,labelstudio") as server:
         async with Wire(server, {"X-API-Key": KEY}) as wire:
             for path in ("/", "/docs", "/openapi.json", "/metrics", "/readyz", "/v1/capabilities", "/nothing"):
                 await wire.http.get(path)
             await every_call(wire, clip)
+            await calls_of_bridges(wire, clip)
             sid = (await wire.create(clip.frames[0], clip.box))["id"]
             for number, protocol in enumerate(("mfcmt.v1.json", "mfcmt.v1.msgpack"), start=1):
                 async with wire.stream(sid, protocols=[protocol]) as stream:
@@ -44,6 +47,33 @@ async def test_no_call_or_stream_loads_a_module(clip: Clip) -> None:
                     await stream.say(type="nonsense")
                     assert await stream.refused() == "bad-request"
         assert [line for line in server.log.splitlines() if line.startswith(LOADED)] == []
+
+
+async def calls_of_bridges(wire: Wire, clip: Clip) -> None:
+    """Start and go on by each bridge, and be refused by the one that would fetch a video."""
+    frame, pixels = clip.frames[0], bytes(3 * 64 * 48)
+    for shape, data in (([len(frame)], frame), ([48, 64, 3], pixels)):
+        tensor = {"name": "FRAME", "datatype": "UINT8", "shape": shape, "parameters": {"binary_data_size": len(data)}}
+        box = {"name": "BOX", "datatype": "FP32", "shape": [4], "data": [1, 2, 30, 40]}
+        parameters = {"sequence_id": 1, "sequence_start": True, "binary_data_output": True}
+        head = json.dumps({"inputs": [tensor, box], "parameters": parameters}).encode()
+        sent = {"Inference-Header-Content-Length": str(len(head))}
+        begun = await wire.http.post("/v2/models/mfcmt/infer", content=head + data, headers=sent)
+        assert begun.status_code == 200, begun.text
+    call = {"image": base64.b64encode(frame).decode(), "shapes": [[1, 2, 31, 42]], "states": []}
+    for _ in range(2):
+        answer = await wire.http.post("/api/function_invocations", json=call)
+        assert answer.status_code == 200, answer.text
+        call["states"] = answer.json()["states"]
+    for path in ("/v2", "/v2/models/mfcmt", "/api/functions", "/labelstudio/health"):
+        assert (await wire.http.get(path)).status_code == 200
+    keyframe = {"frame": 1, "x": 1, "y": 2, "width": 30, "height": 40}
+    value = {"framesCount": 9, "duration": 1, "sequence": [keyframe]}
+    region = {"id": "r", "type": "videorectangle", "from_name": "box", "to_name": "video", "value": value}
+    task = {"data": {"video": "http://videos.example/clip.mp4"}}
+    config = '<Video name="video" value="$video"/>'
+    sent_to = {"tasks": [task], "label_config": config, "params": {"context": {"result": [region]}}}
+    assert (await wire.http.post("/labelstudio/predict", json=sent_to)).status_code == 400
 
 
 async def every_call(wire: Wire, clip: Clip) -> None:
