@@ -104,7 +104,6 @@ document.addEventListener("keydown", (event) => {
   event.preventDefault();
 });
 
-addEventListener("pagehide", () => app.follower.tracking?.abandon());
 addEventListener("pageshow", ({ persisted }) => persisted && location.reload());
 addEventListener("beforeunload", (event) => app.runs.unsaved && event.preventDefault());
 

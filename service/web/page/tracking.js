@@ -129,14 +129,6 @@ export class Tracking {
     this.session?.close().catch(() => {});
   }
 
-  /** End the session while the page is being closed. */
-  abandon() {
-    if (!this.session || this.#ended) return;
-    const keepalive = (url, options) => fetch(url, { ...options, keepalive: true });
-    const last = new Client({ url: HOME, key: key.get(), fetch: keepalive });
-    last.deleteSession(this.session.id).catch(() => {});
-  }
-
   async #listen(stream) {
     try {
       for await (const result of stream) {
