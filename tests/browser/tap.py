@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+import msgpack
+
 from tests.service.live.cable import Cable
 
 TEXT, BINARY = 1, 2
@@ -49,13 +51,8 @@ class Tap(Cable):
 
     def created(self) -> tuple[bytes, list[list[float]]]:
         """The image and the boxes that the newest session was created with."""
-        body = [body for up in self.directions[::2] for body in _posted(bytes(up.data))][-1]
-        parts = [part.partition(b"\r\n\r\n") for part in body.split(body[: body.index(b"\r\n")])]
-        frame, boxes = (
-            next(content[:-2] for head, _, content in parts if b'name="%s"' % name in head)
-            for name in (b"frame", b"boxes")
-        )
-        return frame, json.loads(boxes)
+        body = msgpack.unpackb([body for up in self.directions[::2] for body in _posted(bytes(up.data))][-1])
+        return body["frame"], body["boxes"]
 
 
 def _posted(data: bytes) -> Iterator[bytes]:

@@ -39,6 +39,7 @@ async def test_a_new_box_is_a_new_target_and_the_chosen_one(open_page: Open) -> 
         await user.draw(GREEN)
         await user.until(TWO)
         assert await user.page.get_attribute("#targets li[data-target='2']", "data-chosen") == "true"
+        await user.until("document.documentElement.dataset.state === 'tracking'")
         x, y, w, h = GREEN
         await user.drag((x + w, y + h), (x + w + 6, y + h + 6))  # a handle: better, and still target 2
         await user.until("document.getElementById('log').innerText.includes('Target 2 corrected')")
@@ -219,3 +220,16 @@ async def test_a_link_opens_a_source_with_its_box(open_page: Open) -> None:
         await user.frames(5)
         first = (await user.boxes())["frames"][0]["targets"][0]["box"]
         assert first == pytest.approx(BALLOON, abs=0.01)
+
+
+async def test_no_frame_is_left_out_by_a_target_that_is_added_at_once(open_page: Open, tmp_path: Path) -> None:
+    """While answers are due, and while the session of both is being started."""
+    async with open_page() as user:
+        await begun(user, tmp_path)
+        await user.page.wait_for_selector("#targets li")
+        await user.page.click("#play")
+        await user.draw((200, 150, 50, 50))
+        await user.until(TWO)
+        await user.page.click("#play")
+        await user.end()
+        assert sorted(await of(user, 1)) == list(range(COUNT))

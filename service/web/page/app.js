@@ -161,8 +161,8 @@ export class App {
 
   /** Return from a place beyond what is followed: no frame may be left out. */
   async #back() {
-    const { source, follower, state } = this;
-    if (source.live || state !== "tracking" || source.time <= follower.reached) return;
+    const { source, follower } = this;
+    if (source.live || !follower.tracking || source.time <= follower.reached) return;
     await this.player.move((one) => one.seek(follower.reached));
   }
 
@@ -184,6 +184,7 @@ export class App {
     if (!(await this.follower.start(run, frame, placed, { ...values, mode: this.mode, label: source.name }, script))) return;
     notice.hide();
     stage.scene.suggestion = null;
+    await this.#back();
     this.to("tracking");
     this.player.exact = this.mode === "lossless";
     if (play) await this.player.play();
@@ -284,6 +285,7 @@ export class App {
 
   to(state) {
     this.state = state;
+    this.player.hold("start", state === "starting"); // no frame passes before there is somebody to follow it
     this.stage.armed = state === "open" || state === "tracking" || state === "ended";
     this.watch.pill();
     this.panels(true);

@@ -1,0 +1,74 @@
+"""The page in Firefox: the first visit, and a file whose every frame is tracked."""
+
+from __future__ import annotations
+
+import json
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from service.load.own import OwnServer
+from tests.conftest import require
+
+from .bidi import Firefox, firefox
+from .conftest import loop
+from .films import BOX, film, uneven
+
+pytestmark = loop
+FRAMES = "Number(document.getElementById('stage').dataset.frames)"
+STATE = "document.documentElement.dataset.state"
+
+
+async def violations(page: Firefox) -> list[str]:
+    """What axe finds wrong with the page as it is now."""
+    require(find_spec("axe_playwright_python"), "axe-playwright-python is not installed")
+    from axe_playwright_python.base import AXE_SCRIPT
+
+    await page.call("script.evaluate", expression=AXE_SCRIPT, target={"context": page.context}, awaitPromise=False)
+    found = await page.evaluate("axe.run().then(({violations}) => violations.map(({id, help}) => `${id}: ${help}`))")
+    return list(found)
+
+
+@pytest.fixture
+def profile(tmp_path: Path) -> Path:
+    return tmp_path / "profile"
+
+
+async def test_the_first_visit_ends_with_a_tracked_balloon(server: OwnServer, profile: Path) -> None:
+    async with firefox(profile) as page:
+        await page.goto(server.url)
+        assert await violations(page) == []
+        await page.click("#choose-sample")
+        await page.until(f"{STATE} === 'open'")
+        await page.click("#follow-suggestion")
+        await page.until(f"{FRAMES} >= 30")
+        status = await page.evaluate("document.querySelector('#targets li').dataset.status")
+        assert status in ("tracking", "uncertain")
+        assert await violations(page) == []
+        assert page.said == []
+
+
+@pytest.mark.parametrize("way", ["decoded", "by seeking"])
+async def test_each_frame_of_a_file_is_tracked_once(server: OwnServer, profile: Path, tmp_path: Path, way: str) -> None:
+    times = film(tmp_path / "uneven.webm", uneven(30), "libvpx")
+    async with firefox(profile) as page:
+        if way == "by seeking":
+            code = "() => { delete globalThis.VideoDecoder; }"
+            await page.call("script.addPreloadScript", functionDeclaration=code)
+        await page.goto(server.url)
+        await page.choose_files("#file", tmp_path / "uneven.webm")
+        await page.until(f"{STATE} === 'open'")
+        place = "document.getElementById('picture').getBoundingClientRect()"
+        left, top, scale = await page.evaluate(f"(({{x, y, width}}) => [x, y, width / 320])({place})")
+        x, y, w, h = BOX
+        await page.drag((left + x * scale, top + y * scale), (left + (x + w) * scale, top + (y + h) * scale))
+        await page.until("document.getElementById('hint').innerText.includes('End of the video')")
+        await page.evaluate(
+            "window.saved = new Promise((done) => { URL.createObjectURL = (blob) => done(blob.text()); })"
+        )
+        await page.click("#open-export")
+        await page.click("#export [data-format=json]")
+        frames = json.loads(await page.evaluate("window.saved"))["frames"]
+    assert [frame["frame"] for frame in frames] == list(range(30))
+    assert [frame["time_s"] for frame in frames] == pytest.approx(times, abs=1.5e-3)
