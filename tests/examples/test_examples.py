@@ -225,5 +225,5 @@ async def test_the_example_page_tracks_a_camera(clip: Clip, tmp_path: Path) -> N
 
 
 def test_the_readme_names_all_examples() -> None:
-    named = set(re.findall(r"\]\((track[^)]*)\)", (EXAMPLES / "README.md").read_text()))
+    named = set(re.findall(r"\]\((\w+\.(?:html|mjs|py|sh))\)", (EXAMPLES / "README.md").read_text()))
     assert named == {path.name for path in EXAMPLES.iterdir()} - {"README.md", "frames"}

@@ -22,7 +22,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
 from mfcmt_core import MFCMT
-from mfcmt_core.images import FrameError, FrameLimits
+from mfcmt_core.images import FrameError, FrameLimits, inspect
 from mfcmt_core.images.decode import decode
 from service.load.clips import Clip
 from service.protocol.problems import CATALOGUE, MEDIA_TYPE
@@ -109,8 +109,11 @@ class Fuzz:
         """Send a frame and return its refusal. Raises Wrong for one that is not the decoder's, or another box."""
         self._seq += 1
         try:
-            image = decode(data, self._limits)[0]
-            expected = None if image.shape[1::-1] == self._clip.size else "frame-size-changed"
+            info = inspect(data, self._limits)
+            if (info.width, info.height) == self._clip.size:
+                image, expected = decode(data, self._limits)[0], None
+            else:  # found before anything is decoded
+                expected = "frame-size-changed"
         except FrameError as bad:
             expected = bad.code
         await self._stream.send(data)
