@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import time
 from collections.abc import Iterator
@@ -13,6 +14,8 @@ import numpy as np
 import pytest
 
 from mfcmt_core import synthetic
+from mfcmt_core.cli import main
+from mfcmt_core.exports import labelstudio
 from mfcmt_core.video.write import VideoWriter
 from service.load.own import OwnServer, free_port
 
@@ -191,3 +194,21 @@ def test_the_real_server_keeps_a_prediction_of_what_was_annotated(
     (result,) = kept[-1]["result"]
     check_follows(result, clip, 1)
     assert 0.5 < kept[-1]["score"] <= 1
+
+
+def test_the_real_server_imports_what_mfcmt_track_exports(
+    studio: httpx2.Client, clip: synthetic.Clip, video: Path, tmp_path: Path
+) -> None:
+    """The task with its path, under the labelling interface that docs/video.md names."""
+    box, out = ",".join(map(str, clip.boxes[0])), tmp_path / "task.json"
+    command = ["track", str(video), "--box", box, "--class", "Car", "--format", "labelstudio", "--output", str(out)]
+    assert main(command) == 0
+    (task,) = json.loads(out.read_text())
+    task["data"]["video"] = "/data/upload/clip.mp4"
+    interface = labelstudio.CONFIG.format(fps=FPS, labels='<Label value="Car"/>')
+    made = good(studio.post("/api/projects", json={"title": "export", "label_config": interface}))
+    good(studio.post(f"/api/projects/{made['id']}/import", json=[task]))
+    (kept,) = good(studio.get("/api/tasks", params={"project": made["id"], "fields": "all"}))["tasks"]
+    (prediction,) = good(studio.get("/api/predictions", params={"task": kept["id"]}))
+    assert prediction["result"] == task["predictions"][0]["result"]
+    assert prediction["result"][0]["value"]["sequence"][-1]["frame"] == LENGTH
