@@ -202,9 +202,8 @@ async def test_keys_share_a_lane_whatever_the_number_of_their_sessions(serve: Se
 async def test_a_small_frame_waits_for_one_large_one_at_most(serve: Serve, clip: Clip) -> None:
     """Two sessions send 4K frames as fast as they can; one that is sent behind the other would be waited for too."""
     wire = serve(lanes=1)
-    large = replace(
-        replace(clip, frames=clip.frames[:2]).resized((3840, 2160)), box=(100, 100, 3600, 1900)
-    )  # all of it is decoded
+    large = replace(clip, frames=clip.frames[:2]).resized((3840, 2160))
+    large = replace(large, box=(100, 100, 3600, 1900))  # so large that whole frames are decoded
     streams = [Busy(wire, await wire.create(large.frames[0], large.box), large) for _ in range(2)]
     modest = await wire.create(clip.frames[0], clip.box)
     done = asyncio.Event()
