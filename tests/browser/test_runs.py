@@ -43,7 +43,6 @@ async def test_a_new_box_is_a_new_target_and_the_chosen_one(open_page: Open) -> 
         x, y, w, h = GREEN
         await user.drag((x + w, y + h), (x + w + 6, y + h + 6))  # a handle: better, and still target 2
         await user.until("document.getElementById('log').innerText.includes('Target 2 corrected')")
-        await user.until("document.querySelector('#targets li[data-target=\"2\"] .where').innerText.endsWith(' 46 62')")
         assert await user.page.locator("#targets li").count() == 2
         assert (await of(user, 1)).popitem()[1] == pytest.approx(balloon, abs=3)
 
