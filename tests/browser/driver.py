@@ -67,16 +67,21 @@ class Tracker:
         return int(await self.page.evaluate(count))
 
     async def picture(self) -> dict[str, float]:
-        """Where the picture lies in the window, CSS px, and its own size (``width``, ``height``)."""
-        found: dict[str, float] = await self.page.evaluate(
-            """() => {
-                const canvas = document.getElementById('picture'), b = canvas.getBoundingClientRect();
-                const s = Math.min(b.width / canvas.width, b.height / canvas.height);
-                return {x: b.x + (b.width - canvas.width * s) / 2, y: b.y + (b.height - canvas.height * s) / 2,
-                        scale: s, width: canvas.width, height: canvas.height};
-            }"""
-        )
-        return found
+        """Where the picture lies in the window, CSS px, and its own size (``width``, ``height``), once it lies still.
+
+        It moves while panels come and go, and a mouse that was sent to its old place would miss.
+        """
+        code = """() => {
+            const canvas = document.getElementById('picture'), b = canvas.getBoundingClientRect();
+            const s = Math.min(b.width / canvas.width, b.height / canvas.height);
+            return {x: b.x + (b.width - canvas.width * s) / 2, y: b.y + (b.height - canvas.height * s) / 2,
+                    scale: s, width: canvas.width, height: canvas.height};
+        }"""
+        before: dict[str, float] = {}
+        while (found := await self.page.evaluate(code)) != before:
+            before = found
+            await asyncio.sleep(0.3)  # it follows the panels a few turns later
+        return before
 
     async def pixels(self) -> bytes:
         """The picture that is shown, without box and trail, as PNG."""
@@ -115,14 +120,19 @@ class Tracker:
         await self.until("document.documentElement.dataset.state === 'open'")
 
     async def end(self, patience_s: float = PATIENCE_MS / 1e3) -> None:
-        """Wait until the whole video was tracked."""
+        """Wait until the whole video was sent and answered."""
         await self.until("document.getElementById('hint').innerText.includes('End of the video')", patience_s)
+        await self._answered()
 
     async def pause(self) -> None:
         """Pause, and wait for the answers that are due."""
         if await self.page.get_attribute("#play", "aria-label") == "Pause":
             await self.page.click("#play")
         await self.until("document.getElementById('connection-text').innerText !== 'Tracking'")
+        await self._answered()
+
+    async def _answered(self) -> None:
+        """Wait for the answers that are due."""
         count = -1
         while (now := await self.frames()) != count:
             count = now

@@ -163,9 +163,11 @@ export class Edits {
   }
 
   async #placeNow(run, id, box, fresh) {
-    const frame = this.#app.follower.grab(this.#app.picture(), [this.#app.stage.picture.width, this.#app.stage.picture.height]);
+    const { follower, source, stage } = this.#app;
+    const frame = follower.grab(this.#app.picture(), [stage.picture.width, stage.picture.height]);
     try {
-      await this.#app.follower.place(frame, [{ target: id, box }]);
+      if (source.live) await follower.tracking.place(frame, [{ target: id, box }]);
+      else await follower.tracking.amend(frame, { target: id, box });
       notice.hide();
     } catch (error) {
       this.#runs.giveUp();

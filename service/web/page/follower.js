@@ -77,18 +77,13 @@ export class Follower {
     this.reached = source.time;
     const frame = this.#frames.grab(source, size);
     try {
-      if (due.length) await this.place(frame, due);
+      if (due.length) await tracking.place(frame, due);
       else await tracking.send(frame);
     } catch (error) {
       if (this.tracking === tracking) this.onproblem(error);
     } finally {
       if (this.tracking === tracking) this.#sending = false;
     }
-  }
-
-  /** Set boxes on `frame`. */
-  async place(frame, placed) {
-    await this.tracking.place(frame, placed);
   }
 
   /**

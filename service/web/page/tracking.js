@@ -27,6 +27,7 @@ export class Tracking {
   #coming = []; // the run's numbers of targets that are being added, in order
   #frames = new Map();
   #sent = 0;
+  #newest = null; // the seq and size of the newest frame that was answered
   #heardAt = 0;
   #ended = false;
 
@@ -40,13 +41,14 @@ export class Tracking {
     this.client = new Client({ url: HOME, key: key.get() });
     // so that a phone may be rotated
     const options = { preset, maps, on_resize: "rescale", label: label.slice(0, 200), idle_timeout_s: IDLE_S };
-    const boxes = placed.map(({ box }) => pixels(box, frame));
+    const boxes = placed.map(({ box }) => pixels(box, sizeOf(frame)));
     this.session = await this.client.createSession({ frame: frame.canvas, boxes, options, quality, waitMs: WAIT_MS });
     if (this.#ended) {
       this.session.close().catch(() => {});
       return;
     }
     const { seq, size, targets } = this.session.info;
+    this.#newest = [seq, size];
     targets.forEach((target, i) => this.#ids.set(target.id, placed[i].target));
     this.onresult({ seq, size, targets, timing: null }, this.#numbered(targets), frame);
     this.onspare(frame);
@@ -94,26 +96,27 @@ export class Tracking {
     }
   }
 
-  /** Set boxes on this frame: `placed` are `{target, box}`; targets that are not followed yet are added. */
+  /** Set boxes on this frame and send it: `placed` are `{target, box}`; targets that are not followed yet are added. */
   async place(frame, placed) {
-    const { stream } = this;
-    await stream.ready;
-    const answers = placed.map(({ target, box }) => {
-      const [of, on] = [pixels(box, frame), { onNext: true }];
-      if (this.ids.has(target)) return stream.correct(this.#server(target), of, on);
-      this.#coming.push(target);
-      return stream.add(of, on).then(
-        () => this.ids.add(target),
-        (error) => {
-          this.#coming = this.#coming.filter((one) => one !== target);
-          throw error;
-        },
-      );
-    });
-    const all = Promise.all(answers);
+    await this.stream.ready;
+    const all = Promise.all(placed.map((one) => this.#set(one, sizeOf(frame), true)));
     all.catch(() => {}); // until it is awaited below
     await this.send(frame, { whole: true });
     await all;
+  }
+
+  /**
+   * Set a target's box on the newest frame, which was answered: sent again, the other targets would move on in it twice.
+   * The service may only have a region of it, and then it must be sent again.
+   */
+  async amend(frame, placed) {
+    if (this.stream.regions) return this.place(frame, [placed]);
+    const [seq, size] = this.#newest;
+    const { targets } = await this.#set(placed, size, false);
+    const ids = this.#numbered(targets);
+    const i = ids.indexOf(placed.target);
+    this.onresult({ seq, size, targets: [targets[i]], timing: null }, [ids[i]], frame);
+    this.onspare(frame);
   }
 
   async remove(target) {
@@ -133,12 +136,26 @@ export class Tracking {
     try {
       for await (const result of stream) {
         if (this.stream !== stream || this.#ended) return;
+        this.#newest = [result.seq, result.size];
         this.#heardAt = performance.now();
         this.onresult(result, this.#numbered(result.targets), this.#frames.get(result.ts));
         for (const ts of this.#frames.keys()) if (ts <= result.ts) this.#release(ts);
       }
     } catch (error) {
       if (this.stream === stream && !this.#ended) this.onend(error);
+    }
+  }
+
+  async #set({ target, box }, size, onNext) {
+    if (this.ids.has(target)) return this.stream.correct(this.#server(target), pixels(box, size), { onNext });
+    this.#coming.push(target);
+    try {
+      const answer = await this.stream.add(pixels(box, size), { onNext });
+      this.ids.add(target);
+      return answer;
+    } catch (error) {
+      this.#coming = this.#coming.filter((one) => one !== target);
+      throw error;
     }
   }
 
@@ -161,4 +178,5 @@ export class Tracking {
   }
 }
 
-const pixels = ([x, y, w, h], { canvas: { width, height } }) => [x * width, y * height, w * width, h * height];
+const sizeOf = ({ canvas: { width, height } }) => [width, height];
+const pixels = ([x, y, w, h], [width, height]) => [x * width, y * height, w * width, h * height];
