@@ -139,6 +139,38 @@ def put_bits(out, written, pending, filled, data, first, last):  # type: ignore[
 
 
 @kernel
+def refill(data, at, bits, have):  # type: ignore[no-untyped-def]
+    """Add whole bytes to ``bits`` until at least 56 are known. Returns ``at, bits, have``."""
+    bits |= word(data, at) >> have
+    return at + ((np.uint64(63) - have) >> np.uint64(3)), bits, have | np.uint64(56)
+
+
+@kernel
+def skip_ac(data, at, bits, have, codes, quick):  # type: ignore[no-untyped-def]
+    """Read the AC coefficients of a block. Returns ``at, bits, have``, and False if they are damaged.
+
+    ``codes`` (65536,) and ``quick`` (2^BITS,) uint16 are the rows of their table, see :func:`excerpt`.
+    """
+    low, k = np.uint64(15), np.uint64(1)
+    while k < 64:
+        at, bits, have = refill(data, at, bits, have)
+        entry = np.uint64(quick[bits >> np.uint64(64 - BITS)])
+        length = entry & np.uint64(31)
+        after = k + (entry >> np.uint64(5))
+        if after > 64 and after >> np.uint64(6) != 2:  # a long code, or the coefficients end among these codes
+            entry = np.uint64(codes[bits >> np.uint64(48)])
+            zeros, size = entry >> np.uint64(4) & low, entry & low
+            length = (entry >> np.uint64(8)) + size
+            after = np.uint64(64) if size == 0 and zeros < low else k + zeros + np.uint64(1)
+            if entry == 0 or after > 64:
+                return at, bits, have, False
+        k = after
+        bits <<= length
+        have -= length
+    return at, bits, have, True
+
+
+@kernel
 def excerpt(data, ends, restart, blocks, codes, quick, dc_codes, grid, window, out):  # type: ignore[no-untyped-def]
     """Read all units of a scan, and write those inside ``window``. Return the bytes written, or DAMAGED.
 
@@ -150,7 +182,7 @@ def excerpt(data, ends, restart, blocks, codes, quick, dc_codes, grid, window, o
     right, bottom) in it. ``out`` receives the bytes without stuffing: the codes as they are, but for the DC
     coefficients whose predecessor is not in the window, or was before a restart marker.
     """
-    eight, lowest = np.uint64(8), np.uint64(56)
+    eight = np.uint64(8)
     columns, rows = grid
     left, top, right, bottom = window
     before, copied = np.zeros(4, np.int64), np.zeros(4, np.int64)  # the last DC coefficients: read, and written
@@ -179,9 +211,7 @@ def excerpt(data, ends, restart, blocks, codes, quick, dc_codes, grid, window, o
             for b in range(blocks.shape[0]):
                 dc, ac = blocks[b, 2], blocks[b, 3]
                 start = at * eight - have
-                bits |= word(data, at) >> have
-                at += (np.uint64(63) - have) >> np.uint64(3)
-                have |= lowest
+                at, bits, have = refill(data, at, bits, have)
                 entry = np.uint64(quick[dc, bits >> np.uint64(64 - BITS)])
                 if entry == 0:
                     entry = np.uint64(codes[dc, bits >> np.uint64(48)])
@@ -202,29 +232,9 @@ def excerpt(data, ends, restart, blocks, codes, quick, dc_codes, grid, window, o
                     if filled == 64:
                         return DAMAGED
                     first = at * eight - have
-                k = np.uint64(1)
-                while k < 64:
-                    bits |= word(data, at) >> have
-                    at += (np.uint64(63) - have) >> np.uint64(3)
-                    have |= lowest
-                    entry = np.uint64(quick[ac, bits >> np.uint64(64 - BITS)])
-                    after = k + (entry >> np.uint64(5))
-                    if after <= 64 or after >> np.uint64(6) == 2:
-                        length = entry & np.uint64(31)
-                        k = after
-                    else:  # a long code, or the coefficients end among these codes
-                        entry = np.uint64(codes[ac, bits >> np.uint64(48)])
-                        if entry == 0:
-                            return DAMAGED
-                        length = (entry >> eight) + (entry & np.uint64(15))
-                        if entry & np.uint64(15) == 0 and entry & np.uint64(0xF0) != 0xF0:
-                            k = np.uint64(64)
-                        else:
-                            k += (entry >> np.uint64(4) & np.uint64(15)) + np.uint64(1)
-                            if k > 64:
-                                return DAMAGED
-                    bits <<= length
-                    have -= length
+                at, bits, have, whole = skip_ac(data, at, bits, have, codes[ac], quick[ac])
+                if not whole:
+                    return DAMAGED
                 if at > end + eight:
                     return DAMAGED
             if column + 1 == right and top <= row < bottom:
