@@ -62,8 +62,9 @@ class Server(uvicorn.Server):
         gc.freeze()
         if self.started:
             host, port = self.servers[0].sockets[0].getsockname()[:2]
-            url = f"http://{f'[{host}]' if ':' in host else host}:{port}"
             settings = self._service.settings
+            scheme = "https" if settings.tls_certificate else "http"
+            url = f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"
             log.info("listening", url=url, lanes=settings.lanes, capacity=settings.capacity)
             self._telling = asyncio.create_task(self._tell_ready(url))
 
@@ -115,6 +116,8 @@ def make_server(app: FastAPI, on_ready: Callable[[str], None] = lambda _: None) 
         app,
         host=settings.host,
         port=settings.port,
+        ssl_certfile=settings.tls_certificate,
+        ssl_keyfile=settings.tls_key,
         loop="uvloop" if find_spec("uvloop") else "asyncio",
         http=calls,
         ws=frames,

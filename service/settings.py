@@ -21,6 +21,7 @@ from mfcmt_core.cli.variables import OWN, PREFIX, unread_variables
 
 from . import environment
 from .bridges import BRIDGES
+from .certificate import check_pair
 from .container import budget_bytes
 from .hosts import LOCAL
 from .keys import LEAST_CHARACTERS, check_key, read_keys
@@ -54,6 +55,10 @@ class Settings(BaseSettings):
     host: str = Field(default="127.0.0.1", description="address to listen on")
     port: int = Field(default=8000, ge=0, le=65535, description="port to listen on; 0 takes a free one")
     public_url: str = Field(default="", description="base URL that clients see, where a proxy does not pass it on")
+    tls_certificate: Path | None = Field(
+        default=None, description="PEM file of the certificate; the service then speaks https and wss alone"
+    )
+    tls_key: Path | None = Field(default=None, description="PEM file of the certificate's key, without a password")
 
     lanes: int = Field(
         default_factory=default_lanes,
@@ -300,6 +305,14 @@ class Settings(BaseSettings):
     def _keys_beyond_loopback(self) -> Settings:
         if not (self.authenticated or self.allow_unauthenticated or self.on_loopback):
             raise ValueError("host is not a loopback address: set MFCMT_API_KEYS, or MFCMT_ALLOW_UNAUTHENTICATED=true")
+        return self
+
+    @model_validator(mode="after")
+    def _certificate_with_key(self) -> Settings:
+        if (self.tls_certificate is None) != (self.tls_key is None):
+            raise ValueError("MFCMT_TLS_CERTIFICATE and MFCMT_TLS_KEY go together: set both, or none")
+        if self.tls_certificate and self.tls_key:
+            check_pair(self.tls_certificate, self.tls_key)
         return self
 
     @property

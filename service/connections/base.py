@@ -82,7 +82,8 @@ class Lingering(asyncio.Protocol):
         self._gone = False
         self._cut = loop.call_later(LINGER_S, transport.abort)
         transport.set_protocol(self)
-        transport.write_eof()
+        if transport.can_write_eof():  # not of TLS
+            transport.write_eof()
         transport.resume_reading()
 
     def data_received(self, data: bytes) -> None:  # noqa: ARG002

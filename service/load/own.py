@@ -1,4 +1,4 @@
-"""A server in a child process on a free loopback port, for measurements, the demo and tests.
+"""A server in a child process for measurements, the demo and tests, on a free loopback port unless it is told another.
 
 It ends with the process that started it, even if that one is killed.
 """
@@ -10,6 +10,7 @@ import os
 import secrets
 import signal
 import socket
+import ssl
 import subprocess
 import sys
 import tempfile
@@ -22,6 +23,7 @@ from typing import Self
 START_S = 180.0
 STOP_S = 20.0
 POLL_S = 0.05
+LOOPBACK = "127.0.0.1"
 # The server ends when its standard input does, which the kernel closes with the parent process. (The signal at a
 # parent's death would follow the thread that started the server, which may end long before.)
 SERVE = """
@@ -63,11 +65,13 @@ class OwnServer:
         self._settings = settings
         self._process: subprocess.Popen[bytes] | None = None
         self._log = Path(tempfile.mkstemp(prefix="mfcmt-serve-", suffix=".log")[1])
+        self._host = str(settings.get("host", LOOPBACK))
         self.port = port
 
     @property
     def url(self) -> str:
-        return f"http://127.0.0.1:{self.port}"
+        scheme = "https" if "tls_certificate" in self._settings else "http"
+        return f"{scheme}://{self._host}:{self.port}"
 
     @property
     def pid(self) -> int:
@@ -97,7 +101,7 @@ class OwnServer:
     def start(self) -> None:
         """Start the server and wait until it is ready; after a :meth:`stop` or a crash it takes the same port again."""
         self.port = self.port or free_port()
-        settings = {"log_format": "json", "host": "127.0.0.1"} | self._settings | {"port": self.port}
+        settings = {"log_format": "json", "host": self._host} | self._settings | {"port": self.port}
         environment = {name: value for name, value in os.environ.items() if not name.startswith("MFCMT_")}
         environment |= self._environment
         environment |= {f"MFCMT_{name.upper()}": str(value) for name, value in settings.items()}
@@ -133,8 +137,8 @@ class OwnServer:
         while time.monotonic() < give_up:
             if self.exit_code is not None:
                 raise ServerFailed(f"the server ended with {self.exit_code}\n{self._last_words()}")
+            connection = self._connection()
             try:
-                connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=2)
                 connection.request("GET", "/readyz")
                 if connection.getresponse().status == 200:
                     return
@@ -144,6 +148,13 @@ class OwnServer:
                 connection.close()
             time.sleep(POLL_S)
         raise ServerFailed(f"the server is not ready after {self._start_s:g} s\n{self._last_words()}")
+
+    def _connection(self) -> http.client.HTTPConnection:
+        if self.url.startswith("https"):
+            # the server is this process' own, whatever its certificate says
+            unverified = ssl._create_unverified_context()  # noqa: S323
+            return http.client.HTTPSConnection(self._host, self.port, timeout=2, context=unverified)
+        return http.client.HTTPConnection(self._host, self.port, timeout=2)
 
     def _last_words(self) -> str:
         return "\n".join(self.log.splitlines()[-20:])

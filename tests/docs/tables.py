@@ -17,7 +17,16 @@ from service.settings import Settings
 GUIDE = Path(__file__).resolve().parents[2] / "docs/operations.md"
 COMPOSE = GUIDE.parents[1] / "docker/compose.yaml"
 # The image says where the service listens and keeps its state; the others have a line of their own.
-NOT_PASSED_ON = {"host", "port", "state_dir", "api_keys", "admin_key", "max_lane_rss_bytes"}
+NOT_PASSED_ON = {
+    "host",
+    "port",
+    "state_dir",
+    "api_keys",
+    "admin_key",
+    "max_lane_rss_bytes",
+    "tls_certificate",
+    "tls_key",
+}
 MIB = 1024 * 1024
 # Defaults that follow from the machine.
 MADE = {"lanes": "by usable cores", "max_upload_bytes": "an eighth of the usable memory, 128 to 512 MiB"}
