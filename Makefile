@@ -108,8 +108,8 @@ guide: $(DEVELOPMENT)  ## write the tables of docs, and the types of mfcmt.d.ts,
 
 lock:  ## refresh the lock files (needs uv)
 	$(LOCK) pyproject.toml --all-extras -o requirements-dev.lock
-	$(LOCK) pyproject.toml --extra service --extra otel --group editable -c requirements-dev.lock -o requirements.lock
-	$(LOCK) pyproject.toml docker/build.in --extra service --extra otel -c requirements-dev.lock -o docker/requirements.lock
+	$(LOCK) pyproject.toml --extra service --extra otel --extra cluster --group editable -c requirements-dev.lock -o requirements.lock
+	$(LOCK) pyproject.toml docker/build.in --extra service --extra otel --extra cluster -c requirements-dev.lock -o docker/requirements.lock
 	$(LOCK) .ci/video.in -c requirements-dev.lock -o .ci/video.lock
 	$(LOCK) .ci/peers.in -o .ci/peers.lock
 	$(LOCK) .ci/bridges.in -o .ci/bridges.lock

@@ -40,12 +40,14 @@ from .observability.metrics import Metrics
 from .service import Service
 from .sessions.byte_budget import ByteBudget
 from .sessions.concurrency import ConcurrencyLimit
+from .sessions.database import StateError
 from .sessions.rate_limiter import RateLimiter
 from .sessions.registry import SessionRegistry
 from .settings import Settings
 from .snapshot_signer import SnapshotSigner
 
 if TYPE_CHECKING:
+    from .cluster.node import ClusterNode
     from .observability.tracing import Tracing
 
 SECRET_BYTES = 32
@@ -78,7 +80,8 @@ def create_app(
     metrics = Metrics(_tracing(settings))
     lanes = lanes or local_lanes(settings)
     authenticator = Authenticator(settings, clock)
-    registry = SessionRegistry(settings, lanes, metrics, clock, authenticator.owners)
+    node = _node(settings, lanes, metrics)
+    registry = SessionRegistry(settings, lanes, metrics, clock, authenticator.owners, node)
     secrets = [secret.get_secret_value().encode() for secret in settings.signing_keys]
     signer = SnapshotSigner(secrets or [token_bytes(SECRET_BYTES)])
     rate_limiter, byte_budget = RateLimiter(settings, clock), ByteBudget(settings.max_upload_bytes)
@@ -94,6 +97,7 @@ def create_app(
         byte_budget,
         signer,
         *slots(settings),
+        node,
     )
 
     app = FastAPI(
@@ -113,9 +117,19 @@ def create_app(
             app.include_router(router, prefix=prefix)
     for name in settings.bridges:
         app.include_router(BRIDGES[name].load(service), include_in_schema=False)
-    stream = StreamEndpoint(service)
+    prepare = None
+    if node is not None:
+        from .cluster.handshakes import Handshakes
+
+        prepare = Handshakes(node, authenticator).prepare
+    stream = StreamEndpoint(service, prepare)
     for path in ("/v1/sessions/{session_id}/stream", "/{path:path}"):  # the second refuses
         app.router.routes.append(WebSocketRoute(path, stream))
+    if node is not None:
+        from .cluster.router import SessionRouter
+
+        node.registry = registry
+        app.add_middleware(SessionRouter, node=node, settings=settings)
     app.add_middleware(RequestMiddleware, service=service)
     errors.install(app)
     openapi.install(app, settings)
@@ -144,6 +158,17 @@ def local_lanes(settings: Settings) -> LanePool:
     )
 
 
+def _node(settings: Settings, lanes: Lanes, metrics: Metrics) -> ClusterNode | None:
+    """Return this node among others, None where it is the only one. Raises StateError."""
+    if settings.store is None:
+        return None
+    try:
+        from .cluster.node import make_node
+    except ModuleNotFoundError as missing:
+        raise StateError(f"MFCMT_STORE needs the package {missing.name}: pip install 'mfcmt[cluster]'") from missing
+    return make_node(settings, lanes, metrics)
+
+
 def _tracing(settings: Settings) -> Tracing | None:
     if not settings.otlp_endpoint:
         return None
@@ -170,17 +195,23 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         log.warning("no MFCMT_SIGNING_KEYS: snapshots are valid until this process ends")
     if not settings.authenticated and not settings.on_loopback:
         log.warning("listening beyond loopback without keys: everyone shares all sessions", host=settings.host)
-    if not settings.state_dir:
+    if not settings.state_dir and not service.node:
         log.warning("no MFCMT_STATE_DIR: sessions end with this process")
     tasks: list[asyncio.Task[None]] = []
     try:
         await service.registry.load()
         await service.lanes.start()
+        if service.node is not None:
+            await service.node.start()
         registry = service.registry
         background = [registry.run_sweeper, registry.follow_lanes, service.follow_keys, service.metrics.lag.watch]
+        if service.node is not None:
+            background.append(service.node.run)
         tasks += [asyncio.create_task(_run_forever(work)) for work in background]
         yield
     finally:
+        if service.node is not None:
+            await service.node.stop()
         await service.registry.save_all()
         for task in tasks:
             task.cancel()

@@ -151,21 +151,44 @@ class Authenticator:
     def issue(self, identity: Identity, session: str, seconds: float) -> str:
         """Return a new ticket for one handshake, valid for ``seconds``."""
         ticket = secrets.token_urlsafe(32)
-        self._tickets.put(identity.owner, digest(ticket).hex(), IssuedTicket(identity, session), seconds)
+        self._tickets.put(identity.owner, ticket_name(ticket), IssuedTicket(identity, session), seconds)
         return ticket
+
+    def peek(self, ticket: str) -> IssuedTicket | None:
+        """Return what a ticket opens, by its digest, without spending it; None if this node does not know it."""
+        return self._tickets.get(ticket)
+
+    def learn(self, ticket: str, issued: IssuedTicket, seconds: float) -> None:
+        """Count a ticket of another node, by its digest, as one of ours."""
+        self._tickets.put(issued.identity.owner, ticket, issued, seconds)
+
+    def void(self, ticket: str) -> None:
+        """Forget a ticket, by its digest: it was spent at another node."""
+        self._tickets.pop(ticket)
 
     def redeem(self, protocols: Sequence[str], session: str) -> Identity | None:
         """Spend the ticket among the offered subprotocols and return its owner's identity; None without a ticket.
 
         Raises unauthenticated if the ticket is unknown, spent, expired, or of another session.
         """
-        shown = [p.removeprefix(TICKET_PROTOCOL) for p in protocols if p.startswith(TICKET_PROTOCOL)]
+        shown = shown_tickets(protocols)
         if not shown:
             return None
-        found = [self._tickets.pop(digest(ticket).hex()) for ticket in shown]
+        found = [self._tickets.pop(ticket) for ticket in shown]
         if found[0] is None or found[0].session != session or not self.knows(found[0].identity):
             raise _unauthenticated("the ticket is not valid")
         return found[0].identity
+
+
+def shown_tickets(protocols: Sequence[str]) -> list[str]:
+    """Return the digests of the tickets among the offered subprotocols."""
+    shown = (p.removeprefix(TICKET_PROTOCOL) for p in protocols if p.startswith(TICKET_PROTOCOL))
+    return [ticket_name(ticket) for ticket in shown]
+
+
+def ticket_name(ticket: str) -> str:
+    """Return the digest of a ticket, under which it is kept."""
+    return digest(ticket).hex()
 
 
 def _shown(headers: Mapping[str, str]) -> str | None:

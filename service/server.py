@@ -30,6 +30,7 @@ DRAIN_TICK_S = READY_TICK_S = 0.05
 # Clients may come back after this time, and a random part of the spread later.
 RETURN_S = 0.5
 SPREAD_S = (0.0, 1.5)
+NODE_SPREAD_S = (0.0, 0.3)
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.server")
 
@@ -94,10 +95,13 @@ class Server(uvicorn.Server):
         log.info("draining", signal=name, streams=registry.streams(), sessions=len(registry))
         # Without a state directory streams may go on for the grace period; with one they may come back at once.
         # The returns are spread, so that not all clients meet the next process at the same moment.
-        soonest_s = RETURN_S if registry.store.durable else grace_s
-        registry.drain(lambda: round(soonest_s + random.uniform(*SPREAD_S), 2))  # noqa: S311
+        # Another node is there already.
+        node = self._service.node
+        soonest_s = 0.0 if node else RETURN_S if registry.store.durable else grace_s
+        spread_s = NODE_SPREAD_S if node else SPREAD_S
+        registry.drain(lambda: round(soonest_s + random.uniform(*spread_s), 2))  # noqa: S311
         deadline = asyncio.get_running_loop().time() + grace_s
-        while registry.streams() and asyncio.get_running_loop().time() < deadline:
+        while (registry.streams() or (node and node.leaving)) and asyncio.get_running_loop().time() < deadline:
             await asyncio.sleep(DRAIN_TICK_S)
         registry.end_streams(1012, "service restart")
         await asyncio.sleep(DRAIN_TICK_S)

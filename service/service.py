@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import MutableMapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import structlog
 
@@ -24,6 +24,9 @@ from .sessions.registry import SessionRegistry
 from .sessions.session import Session
 from .settings import Settings
 from .snapshot_signer import SnapshotSigner
+
+if TYPE_CHECKING:
+    from .cluster.node import ClusterNode
 
 KEYS_EVERY_S = 1.0
 PROBES = frozenset({"/livez", "/readyz", "/metrics"})
@@ -46,6 +49,7 @@ class Service:
     signer: SnapshotSigner
     snapshot_slots: ConcurrencyLimit
     trajectory_slots: ConcurrencyLimit
+    node: ClusterNode | None = None
 
     async def delay_refusal(self, scope: MutableMapping[str, Any]) -> None:
         """Count the refusal of a call or handshake, and wait if its caller has had too many. Probes never wait."""
@@ -67,7 +71,8 @@ class Service:
 
     def describe(self, session: Session, base_url: str) -> dict[str, Any]:
         """Return the Session of the protocol; ``base_url`` is the URL by which the caller reaches the service."""
-        scheme, _, rest = (self.settings.public_url or base_url.rstrip("/")).partition("://")
+        base_url = self.settings.node_url or self.settings.public_url or base_url.rstrip("/")
+        scheme, _, rest = base_url.partition("://")
         secure = "wss" if scheme in ("https", "wss") else "ws"
         url = f"{secure}://{rest}/v1/sessions/{session.id}/stream"
         return message(

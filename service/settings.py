@@ -32,6 +32,8 @@ TEN_YEARS_S = 3.2e8
 # Apps in a WebView have origins of other schemes than http.
 ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^\s/?#@*\\]+", re.IGNORECASE)
 HOST = re.compile(r"[A-Za-z0-9._-]+(?::[0-9]{1,5})?")
+STORES = ("redis://", "rediss://", "unix://")
+NODE = re.compile(r"[a-z0-9](?:[a-z0-9-]{0,61}[a-z0-9])?")
 # Variables that the exporter of spans reads by itself; they may hold a key.
 OTLP_HEADERS = ("OTEL_EXPORTER_OTLP_HEADERS", "OTEL_EXPORTER_OTLP_TRACES_HEADERS")
 Secrets = Annotated[tuple[SecretStr, ...], NoDecode]
@@ -93,6 +95,16 @@ class Settings(BaseSettings):
     )
     recovery_timeout_s: float = _positive(30.0, "calls of a session whose lane is lost are refused after this long")
     state_dir: str = Field(default="", description="directory where sessions outlive the process; default: they do not")
+
+    store: SecretStr | None = Field(
+        default=None,
+        description="Redis or Valkey that several nodes share, as redis://host:6379/0 or rediss:// or unix://; "
+        "default: this is the only node (docs/scaling.md)",
+    )
+    node: str = Field(default="", description="name of this node among those that share a store, as a DNS label")
+    node_url: str = Field(default="", description="base URL by which clients and the other nodes reach this very node")
+    store_every_s: float = _positive(5.0, "a session that changes is saved to the store once in this time")
+    store_grace_s: float = _positive(30.0, "new sessions are refused when the store is away for longer")
 
     max_frame_bytes: int = Field(default=8 * MIB, ge=1024, description="bytes of one encoded frame")
     max_frame_pixels: int = Field(
@@ -294,7 +306,21 @@ class Settings(BaseSettings):
                 raise ValueError("a host is its name or address, and a port if need be, as videos.example:8443")
         return tuple(host.lower() for host in value)
 
-    @field_validator("public_url", "otlp_endpoint")
+    @field_validator("store")
+    @classmethod
+    def _store_url(cls, value: SecretStr | None) -> SecretStr | None:
+        if value is not None and not value.get_secret_value().startswith(STORES):
+            raise ValueError(f"starts with {', '.join(STORES)}")
+        return value
+
+    @field_validator("node")
+    @classmethod
+    def _node_name(cls, value: str) -> str:
+        if value and not NODE.fullmatch(value):
+            raise ValueError("a name has at most 63 of a-z, 0-9 and -, and neither begins nor ends with -, as node-1")
+        return value
+
+    @field_validator("public_url", "node_url", "otlp_endpoint")
     @classmethod
     def _http_url(cls, value: str) -> str:
         if value and not value.startswith(("http://", "https://")):
@@ -313,6 +339,17 @@ class Settings(BaseSettings):
             raise ValueError("MFCMT_TLS_CERTIFICATE and MFCMT_TLS_KEY go together: set both, or none")
         if self.tls_certificate and self.tls_key:
             check_pair(self.tls_certificate, self.tls_key)
+        return self
+
+    @model_validator(mode="after")
+    def _nodes_have_names(self) -> Settings:
+        if self.store is None:
+            if self.node or self.node_url:
+                raise ValueError("MFCMT_NODE and MFCMT_NODE_URL are for nodes that share a store: set MFCMT_STORE")
+        elif not (self.node and self.node_url):
+            raise ValueError("MFCMT_STORE needs MFCMT_NODE and MFCMT_NODE_URL, by which the other nodes know this one")
+        elif self.state_dir:
+            raise ValueError("MFCMT_STORE and MFCMT_STATE_DIR are two places for the same sessions: set one of them")
         return self
 
     @property

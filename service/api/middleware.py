@@ -108,7 +108,8 @@ class RequestMiddleware:
                 await self._app(asked, receive, answer)
         except ProblemError as refused:
             scope["state"]["problem"] = refused
-            await self._service.delay_refusal(scope)
+            if refused.code is not ProblemCode.ELSEWHERE:
+                await self._service.delay_refusal(scope)
             await problem_response(refused, request_id, scope["path"])(asked, receive, answer)
         except Exception:
             log.exception("internal error")

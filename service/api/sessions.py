@@ -51,6 +51,7 @@ LOCATION = {"Location": {"description": "the session", "schema": {"type": "strin
             "too-many-targets",
             "over-quota",
             "draining",
+            "elsewhere",
             "session-gone",  # of a repeated Idempotency-Key
         ),
     },
@@ -69,7 +70,7 @@ async def create_session(
         session = await _restore(request, service, caller, idempotency_key)
     else:
         session = await _create(request, service, caller, idempotency_key)
-    location = {"Location": f"/v1/sessions/{session.id}"}
+    location = {"Location": f"{service.settings.node_url}/v1/sessions/{session.id}"}
     return _answer(request, service, session, answer, 201, location)
 
 

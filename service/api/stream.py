@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable, Callable
 from typing import Any
 from urllib.parse import parse_qs
 
@@ -29,10 +30,13 @@ refusals = Sampled(log)
 
 
 class StreamEndpoint:
-    """The ASGI application behind ``/v1/sessions/{session_id}/stream``; raw, to keep frames off detours."""
+    """The ASGI application behind ``/v1/sessions/{session_id}/stream``; raw, to keep frames off detours.
 
-    def __init__(self, service: Service) -> None:
-        self._service = service
+    Among several nodes, ``prepare`` makes sure that the session is at this one. Raises elsewhere.
+    """
+
+    def __init__(self, service: Service, prepare: Callable[[Scope, Headers], Awaitable[None]] | None = None) -> None:
+        self._service, self._prepare = service, prepare
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one connection."""
@@ -42,6 +46,8 @@ class StreamEndpoint:
         selected = next((name for name in scope["subprotocols"] if name in CODECS), None)
         codec = JSON if selected is None else CODECS[selected]
         try:
+            if self._prepare is not None:
+                await self._prepare(scope, headers)
             session, mode, identity = self._admit(scope, headers)
         except ProblemError as problem:
             await self._refuse(problem, codec, selected, scope, headers, send)
@@ -110,7 +116,8 @@ class StreamEndpoint:
         """Make sure that ``owner`` may attach another stream. Raises over-quota, at-capacity."""
         registry, settings = self._service.registry, self._service.settings
         most = registry.quotas.streams
-        if most < settings.max_streams and registry.streams_of(owner) >= most:
+        elsewhere = self._service.node.streams_elsewhere(owner) if self._service.node else 0
+        if most < settings.max_streams and registry.streams_of(owner) + elsewhere >= most:
             raise ProblemError(ProblemCode.OVER_QUOTA, f"at most {most} streams of a key", retry_after_s=1.0)
         if registry.streams() >= settings.max_streams:
             raise ProblemError(ProblemCode.AT_CAPACITY, "no room for another stream", retry_after_s=1.0)
@@ -140,7 +147,8 @@ class StreamEndpoint:
     ) -> None:
         self._service.metrics.problems.labels(code=problem.code).inc()
         refusals.info("stream refused", code=problem.code)
-        await self._service.delay_refusal(scope)
+        if problem.code is not ProblemCode.ELSEWHERE:
+            await self._service.delay_refusal(scope)
         if "origin" not in headers and "websocket.http.response" in scope["extensions"]:
             response = problem_response(problem, scope["state"]["request_id"], scope["path"])
             await send(

@@ -7,6 +7,7 @@ from datetime import UTC, datetime, timedelta
 from fastapi import APIRouter
 from starlette.responses import Response
 
+from ..auth import ticket_name
 from ..protocol.answers import Ticket, instant, message
 from ..protocol.enums import ProblemCode
 from ..protocol.problems import ProblemError
@@ -33,5 +34,7 @@ async def make_ticket(
     if ttl_s > service.settings.max_ticket_s:
         raise ProblemError(ProblemCode.BAD_REQUEST, f"ttl_s: at most {service.settings.max_ticket_s:g}")
     ticket = service.authenticator.issue(identity, session.id, ttl_s)
+    if service.node is not None:
+        await service.node.share_ticket(ticket_name(ticket), identity, session.id, ttl_s)
     expires_at = datetime.now(UTC) + timedelta(seconds=ttl_s)
     return answer(message(Ticket, ticket=ticket, expires_at=instant(expires_at)), 201)

@@ -47,15 +47,15 @@ def run(args: argparse.Namespace) -> int:
     from ..app import create_app
     from ..observability import logs
     from ..server import make_server
-    from ..sessions.state_file import StateDirError
+    from ..sessions.database import StateError
 
     logs.configure(settings.log_format, settings.log_level)
     for line in unread_settings():
         log.warning(line)
-    app = create_app(settings)
     try:
+        app = create_app(settings)
         app.state.service.registry.store.open()
-    except StateDirError as bad:
+    except StateError as bad:
         print(f"mfcmt serve: {bad}", file=sys.stderr)
         return 1
 

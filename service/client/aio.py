@@ -15,6 +15,7 @@ import msgpack
 from .address import Address
 from .connection import problem_of
 from .errors import ConnectionLost, Problem
+from .places import Places
 from .session import MSGPACK, AsyncSession
 from .sources import image_bytes, numbers
 from .stream import AsyncStream
@@ -24,6 +25,8 @@ T = TypeVar("T")
 SNAPSHOT = "application/vnd.mfcmt.snapshot"
 # How often a call that may be repeated is tried while the service cannot be reached.
 ATTEMPTS, RETRY_DELAY_S = 3, 0.1
+# How often a call is sent on to another node.
+HOPS, HTTP_TEMPORARY_REDIRECT = 5, 307
 # A place that another client gives up is free long before the service could foresee it.
 ASK_AGAIN_S = 1.0
 # How long a creation is tried again while the service has no ready lane or no place.
@@ -57,9 +60,9 @@ class AsyncClient:
         ping_interval_s: float = 20.0,
     ) -> None:
         self.address = Address.of(url, key, ping_interval_s, timeout_s)
+        self.places = Places(self.address)
         self._http = httpx2.AsyncClient(
             transport=httpx2.AsyncHTTPTransport(proxy=self.address.proxy_url),
-            base_url=self.address.url,
             headers=self.address.headers,
             timeout=timeout_s,
         )
@@ -143,7 +146,7 @@ class AsyncClient:
         attempts = ATTEMPTS if method != "POST" or "Idempotency-Key" in headers else 1
         for attempt in range(1, attempts + 1):
             try:
-                answer = await self._http.request(method, path, headers=headers, **request)
+                answer = await self._request(method, path, headers=headers, **request)
             except httpx2.TransportError as failed:
                 if attempt == attempts:
                     raise ConnectionLost(self.address.failed(failed)) from failed
@@ -151,11 +154,32 @@ class AsyncClient:
             else:
                 break
         if answer.is_success:
+            self.places.learn(answer.headers.get("Location", ""))
             return answer
         problem = problem_of(answer.status_code, answer.content, self.address.way)
         if problem.retry_after_s is None and (after := answer.headers.get("Retry-After", "")).isdigit():
             problem.retry_after_s = float(after)
         raise problem
+
+    async def _request(self, method: str, path: str, **request: Any) -> httpx2.Response:
+        """Make one HTTP call at the node that has the session, with the key, which httpx would leave out elsewhere."""
+        url = self.places.url(path)
+        for _ in range(HOPS):
+            try:
+                answer = await self._http.request(method, url, **request)
+            except httpx2.ConnectError:
+                if not self.places.forget_url(url):
+                    raise
+                url = self.places.url(path)
+                continue
+            if answer.status_code != HTTP_TEMPORARY_REDIRECT or "Location" not in answer.headers:
+                return answer
+            if self.address.url.startswith("https") and not answer.headers["Location"].startswith("https"):
+                return answer
+            url = answer.headers["Location"]
+            request.pop("params", None)  # they are in the URL
+            self.places.learn(url)
+        return answer
 
     async def settle(self, session_id: str) -> None:
         """Wait until those streams of a session have ended whose loops were left."""

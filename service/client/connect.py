@@ -9,19 +9,22 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
 from ..protocol.enums import ProblemCode
-from .address import Address
 from .connection import Connection, Protocol
 from .errors import ClientError, ConnectionLost, Problem
+from .places import Places
 from .types import Draining, Mode, Ready
 
-FIRST_DELAY_S, LONGEST_DELAY_S = 0.05, 5.0
+FIRST_DELAY_S, LONGEST_DELAY_S = 0.05, 2.0
+# How long a service of several nodes is asked again for a session whose node does not answer: longer than the lease of
+# a node that is gone.
+NODE_GONE_S, ASK_AGAIN_S = 10.0, 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Connector:
     """Attaches to one session, and again after a break for ``reconnect_for_s`` seconds at most."""
 
-    address: Address
+    places: Places
     session_id: str
     mode: Mode = "latest"
     protocol: Protocol = "mfcmt.v1.msgpack"
@@ -54,6 +57,8 @@ class Connector:
         """
         give_up = time.monotonic() + draining.reconnect_in_s + self.reconnect_for_s
         delay, wait, unheard = FIRST_DELAY_S, draining.reconnect_in_s, False
+        if draining.url is not None:
+            self.places.learn(draining.url)
         while True:
             await asyncio.sleep(wait)
             try:
@@ -75,8 +80,24 @@ class Connector:
                 delay = min(2 * delay, LONGEST_DELAY_S)
 
     async def _open(self, takeover: bool, ticket: str | None, resume: str | None) -> tuple[Connection, Ready]:
+        """Attach at the node that has the session."""
+        give_up = time.monotonic() + NODE_GONE_S
+        while True:
+            try:
+                return await self._attach(takeover, ticket, resume)
+            except Problem as refused:
+                if refused.code != ProblemCode.ELSEWHERE or refused.url is None or time.monotonic() > give_up:
+                    raise
+                self.places.learn(refused.url)
+            except ConnectionLost:
+                if not self.places.forget(self.session_id) or time.monotonic() > give_up:
+                    raise
+                await asyncio.sleep(ASK_AGAIN_S)
+
+    async def _attach(self, takeover: bool, ticket: str | None, resume: str | None) -> tuple[Connection, Ready]:
+        address = self.places.address(self.session_id)
         connection = await Connection.open(
-            self.address,
+            address,
             self.session_id,
             mode=self.mode,
             protocol=self.protocol,
@@ -85,7 +106,7 @@ class Connector:
             resume=resume,
         )
         try:
-            ready = await asyncio.wait_for(connection.receive(), self.address.timeout_s)
+            ready = await asyncio.wait_for(connection.receive(), address.timeout_s)
         except TimeoutError as late:
             await connection.close()
             raise ConnectionLost("the server does not answer") from late

@@ -24,6 +24,13 @@ MESSAGES: dict[str, type[Any]] = {kind.TYPE: kind for kind in answers.STREAM_MES
 MAX_MESSAGE_BYTES = 64 * 1024 * 1024
 
 
+class _Handshake(connect):
+    """A handshake that does not follow redirects by itself: it would leave the key out."""
+
+    def process_redirect(self, exc: Exception) -> Exception:
+        return exc
+
+
 class Connection:
     """An open attachment; made by :meth:`open`."""
 
@@ -68,7 +75,7 @@ class Connection:
             query["resume"] = resume
         protocols: list[str] = [protocol] if ticket is None else [protocol, f"mfcmt.ticket.{ticket}"]
         try:
-            socket = await connect(
+            socket = await _Handshake(
                 address.stream(session_id, query),
                 subprotocols=cast(list[Subprotocol], protocols),
                 additional_headers=address.headers,

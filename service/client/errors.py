@@ -30,6 +30,8 @@ class Problem(ClientError):
         How a session ended: ``closed``, ``idle``, ``expired`` or ``lost``.
     region
         What a region must cover.
+    url
+        Where another node has what was asked for.
     seq, ref
         The message of a stream that was refused.
     members
@@ -48,6 +50,7 @@ class Problem(ClientError):
         self.retry_after_s = None if retry_after is None else float(retry_after)
         region = members.get("region")
         self.region: tuple[int, int, int, int] | None = None if region is None else tuple(region)
+        self.url: str | None = members.get("url")
         self.seq = seq
         self.ref = ref
 

@@ -157,7 +157,7 @@ class AsyncSession:
             How long a broken connection is tried again, in seconds: also through a restart of the service, and while
             others that do not know the session stand in for it.
         """
-        connector = Connector(self._client.address, self.id, mode, protocol, takeover, ticket, reconnect_for_s)
+        connector = Connector(self._client.places, self.id, mode, protocol, takeover, ticket, reconnect_for_s)
 
         async def missed(after: int) -> list[Result]:
             return await self.trajectory(after=after)

@@ -167,11 +167,11 @@ class Ready:
 class ProblemDocument:
     """An RFC 9457 problem, with the code that programs decide by."""
 
-    OPTIONAL: ClassVar = ("retry_after_s", "reason", "region", "request_id")
+    OPTIONAL: ClassVar = ("retry_after_s", "reason", "region", "request_id", "url")
 
     type: str
     title: str
-    status: int = field(metadata={"ge": 400, "le": 599})
+    status: int = field(metadata={"ge": 300, "le": 599})
     detail: str
     code: str
     retry_after_s: float = field(
@@ -182,6 +182,7 @@ class ProblemDocument:
         default=None, metadata={"description": "what a region must cover", "json_schema_extra": _region_by_name}
     )
     request_id: str | None = field(default=None, metadata={"description": "finds a fault of the service in its log"})
+    url: str | None = field(default=None, metadata={"description": "where another node has what was asked for"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,9 +214,11 @@ class Draining:
     """The service shuts down; where sessions outlive it, they are resumed under the same id."""
 
     TYPE: ClassVar = "draining"
+    OPTIONAL: ClassVar = ("url",)
 
     reconnect_in_s: float = field(metadata={"ge": 0})
     resumable: bool = field(metadata={"description": "whether sessions outlive the process"})
+    url: str | None = field(default=None, metadata={"description": "the stream at another node, which takes it over"})
 
 
 STREAM_MESSAGES = (Ready, Result, Error, Targets, Draining)

@@ -103,6 +103,7 @@ class ProblemCode(StrEnum):
     STALE_FRAME = "stale-frame"
     FULL_FRAME_NEEDED = "full-frame-needed"
     SESSION_GONE = "session-gone"
+    ELSEWHERE = "elsewhere"
     HOST_REFUSED = "host-refused"
     FRAME_TOO_LARGE = "frame-too-large"
     BODY_TOO_LARGE = "body-too-large"
@@ -145,6 +146,7 @@ class CloseCode(IntEnum):
     UNAUTHENTICATED = 4401
     REFUSED = 4403
     NOT_FOUND = 4404
+    ELSEWHERE = 4307, "`elsewhere`: another node has the session"
     IDLE = 4408, "the session was idle for too long"
     ATTACHED_ELSEWHERE = 4409, "another stream took over"
     SESSION_GONE = 4410, "the session is gone"

@@ -131,6 +131,7 @@ CONTROLS: list[dict[str, Any]] = [
 
 _MEMBERS: dict[str, dict[str, Any]] = {
     "session-gone": {"reason": "idle"},
+    "elsewhere": {"url": "http://127.0.0.1:8001/v1/sessions/node-1.Zk3v0c8VYw1q"},
     "bad-region": {"region": REGION},
     "full-frame-needed": {"region": [0, 0, 576, 432]},
     "over-credit": {"retry_after_s": 0.1},

@@ -30,6 +30,12 @@ CATALOGUE: dict[ProblemCode, Kind] = {
         "a box is four numbers, [x, y, w, h]",
         "the body or message is malformed, an option or field is unknown, or a value has the wrong type",
     ),
+    _C.ELSEWHERE: Kind(
+        307,
+        "Another node has the session",
+        "node-2 has the session",
+        "another node has the session; `url` is where the same call or stream finds it",
+    ),
     _C.UNAUTHENTICATED: Kind(
         401,
         "A valid key or ticket is needed",
@@ -174,6 +180,7 @@ CLOSE_OF_REFUSAL: dict[ProblemCode, CloseCode] = {
     _C.AT_CAPACITY: CloseCode.AT_CAPACITY,
     _C.DRAINING: CloseCode.AT_CAPACITY,
     _C.BAD_REQUEST: CloseCode.UNREADABLE,
+    _C.ELSEWHERE: CloseCode.ELSEWHERE,
 }
 
 
@@ -229,3 +236,10 @@ def session_gone(reason: EndReason | str, detail: str = "") -> ProblemError:
 def session_not_found() -> ProblemError:
     """Return the refusal of a session that never was or is another key's; the two answer alike."""
     return ProblemError(ProblemCode.SESSION_NOT_FOUND, "no session of this id")
+
+
+def elsewhere(node: str, url: str) -> ProblemError:
+    """Return the refusal of what another node has, and ``url``, where the same call or handshake finds it."""
+    problem = ProblemError(ProblemCode.ELSEWHERE, f"{node} has the session", url=url)
+    problem.headers["Location"] = url
+    return problem

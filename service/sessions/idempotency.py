@@ -39,7 +39,7 @@ class IdempotentCreations:
         if key is None:
             return await make()
         name = f"{owner} {key}"
-        fingerprint = await asyncio.to_thread(_fingerprint, data, rest)
+        fingerprint = await asyncio.to_thread(content_digest, data, rest)
         if (known := self._find(name, fingerprint)) is not None:
             return await asyncio.shield(known)
         future: asyncio.Future[str] = asyncio.get_running_loop().create_future()
@@ -66,7 +66,7 @@ class IdempotentCreations:
         name = f"{owner} {key}"
         if key is None or self._known.get(name) is None:
             return None
-        return self._find(name, await asyncio.to_thread(_fingerprint, data, rest))
+        return self._find(name, await asyncio.to_thread(content_digest, data, rest))
 
     def sweep(self) -> None:
         """Forget keys that have expired."""
@@ -81,7 +81,8 @@ class IdempotentCreations:
         return known.session
 
 
-def _fingerprint(data: bytes | memoryview, rest: str) -> bytes:
+def content_digest(data: bytes | memoryview, rest: str) -> bytes:
+    """Return a digest of the content of a call."""
     digest = hashlib.sha256(rest.encode())
     digest.update(data)
     return digest.digest()

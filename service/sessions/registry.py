@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 import secrets
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from functools import partial
 
 import structlog
 
@@ -19,8 +21,9 @@ from ..protocol.problems import ProblemError, session_gone, session_not_found
 from ..protocol.requests import Options
 from ..settings import Settings
 from .admission import Admission, KeyQuotas
+from .database import SavedSession
 from .idempotency import IdempotentCreations
-from .interface import AttachedStream
+from .interface import AttachedStream, SharedNode
 from .session import Session
 from .store import SessionRecord, SessionStore
 from .ttl_cache import TTLCache
@@ -58,6 +61,8 @@ class SessionRegistry:
         Returns the seconds of a monotonic clock.
     owners
         Returns the number of owners that the keys stand for.
+    node
+        What this node has to do with others that share a store; None where it is the only one.
     """
 
     def __init__(
@@ -67,9 +72,11 @@ class SessionRegistry:
         metrics: Metrics,
         clock: Callable[[], float] = time.monotonic,
         owners: Callable[[], int] = lambda: 1,
+        node: SharedNode | None = None,
     ) -> None:
         self.quotas = KeyQuotas(settings, owners)
-        self.store = SessionStore(settings, lanes, metrics, owners)
+        self.store = SessionStore(settings, lanes, metrics, owners, node.database if node else None)
+        self._node = node
         self._settings, self._lanes, self._metrics, self._clock = settings, lanes, metrics, clock
         self._sessions: dict[str, Session] = {}
         self._admission = Admission(
@@ -86,6 +93,14 @@ class SessionRegistry:
     def draining(self) -> bool:
         """Whether new sessions are refused because the service is going away."""
         return self._admission.draining
+
+    def living(self) -> dict[str, Session]:
+        """Return the sessions that are here, by their ids."""
+        return dict(self._sessions)
+
+    def here(self, sid: str) -> Session | None:
+        """Return a session if it is here, whoever asks."""
+        return self._sessions.get(sid)
 
     def find(self, owner: str, sid: str) -> Session:
         """Return the caller's session and count it as used. Raises session-not-found, session-gone."""
@@ -119,12 +134,11 @@ class SessionRegistry:
 
         async def make() -> str:
             session = self._new(owner, options)
-            with self._admission.place(session):
+            async with self._placed(session):
                 await session.start(data, boxes)
-                self._add(session)
             return session.id
 
-        return self.find(owner, await self._creations.once(owner, key, data, repr((boxes, options)), make))
+        return self.find(owner, await self._once(owner, key, data, repr((boxes, options)), make))
 
     async def repeated(
         self, owner: str, data: bytes | memoryview, boxes: list[list[float]], options: Options, key: str | None
@@ -140,14 +154,13 @@ class SessionRegistry:
 
         async def make() -> str:
             session = self._new(owner, Options())
-            with self._admission.place(session):
+            async with self._placed(session):
                 options = await session.restore(snapshot)
                 session.options = self._within_limits(options)
                 self.store.save(session)
-                self._add(session)
             return session.id
 
-        return self.find(owner, await self._creations.once(owner, key, snapshot, "snapshot", make))
+        return self.find(owner, await self._once(owner, key, snapshot, "snapshot", make))
 
     def close(self, owner: str, sid: str) -> None:
         """End the caller's session, if it has not ended yet. Raises session-not-found."""
@@ -176,34 +189,57 @@ class SessionRegistry:
         return datetime.now(UTC) + timedelta(seconds=self._seconds_left(session))
 
     async def load(self) -> None:
-        """Take over the sessions that another process has left. Raises StateDirError."""
+        """Take over the sessions that another process has left. Raises StateError."""
         await asyncio.to_thread(self.store.take_over)
         saved, damaged = self.store.load()
         for one in saved:
-            record = SessionRecord.from_dict(one.front)
-            session = self._new(one.owner, self._within_limits(record.options), one.id, record.created_at)
-            self.store.restore_into(session, one, record)
-            self._sessions[one.id] = session
-            session.restore_lane_state()
+            self.take_up(one)
         for sid, owner in damaged:
-            tombstone = Tombstone(owner, EndReason.LOST, "its saved state is damaged")
-            self._tombstones.put(owner, sid, tombstone)
+            self.bury(owner, sid, EndReason.LOST, "its saved state is damaged")
         if saved or damaged:
             whole = sum(one.whole for one in saved)
             log.info("sessions loaded", sessions=len(saved), whole=whole, damaged=len(damaged))
 
+    def take_up(self, saved: SavedSession) -> None:
+        """Go on with a session that another process has saved."""
+        record = SessionRecord.from_dict(saved.front)
+        session = self._new(saved.owner, self._within_limits(record.options), saved.id, record.created_at)
+        self.store.restore_into(session, saved, record)
+        self._sessions[saved.id] = session
+        session.restore_lane_state()
+
+    def bury(self, owner: str, sid: str, reason: EndReason, detail: str = "") -> None:
+        """Remember of a session that is not here how it ended."""
+        self._tombstones.put(owner, sid, Tombstone(owner, reason, detail))
+
+    def let_go(self, session: Session, why: str) -> None:
+        """Forget a session with which another node goes on."""
+        session.handed_over = True
+        self._sessions.pop(session.id, None)
+        self._lanes.release(session.id)
+        session.lane.replay_log.close()
+        log.info("session goes on elsewhere", session=session.id, why=why, seq=session.seq)
+        if session.attachment is not None:
+            session.attachment.end(CloseCode.RESTART, why)
+
     async def save_all(self) -> None:
-        """Write all sessions to the state directory, if there is one."""
+        """Write all sessions to the database, if there is one."""
         await self.store.save_all(self._sessions.values())
 
     def drain(self, reconnect_in_s: Callable[[], float]) -> None:
         """Refuse new sessions, tell every stream, and finish those streams whose sessions outlive the process."""
         self._admission.draining = True
-        for stream in self._streams():
-            resumable = self.store.durable
-            stream.tell(message(Draining, reconnect_in_s=reconnect_in_s(), resumable=resumable))
-            if resumable:
-                stream.finish(CloseCode.RESTART, "service restart")
+        for session in list(self._sessions.values()):
+            url = self._node and self._node.place_for(session.id)
+            hand_over = partial(self._node.hand_over, session) if self._node else None
+            if (stream := session.attachment) is not None:
+                resumable = self.store.durable
+                told = message(Draining, reconnect_in_s=reconnect_in_s(), resumable=resumable, url=url)
+                stream.tell(told)
+                if resumable:
+                    stream.finish(CloseCode.RESTART, "service restart", hand_over)
+            elif hand_over is not None:
+                hand_over()
 
     def streams(self) -> int:
         """Return the number of attached streams."""
@@ -262,7 +298,7 @@ class SessionRegistry:
         """Return a session that has not started yet, under a new id unless ``sid`` is given."""
         if options.idle_timeout_s is None:
             options = replace(options, idle_timeout_s=self._settings.idle_timeout_s)
-        sid, created_at = sid or secrets.token_urlsafe(ID_BYTES), created_at or datetime.now(UTC)
+        sid, created_at = sid or self._new_id(), created_at or datetime.now(UTC)
         self._ordinal += 1
         return Session(
             sid,
@@ -278,6 +314,34 @@ class SessionRegistry:
             clock=self._clock,
             max_messages_per_s=self._settings.max_messages_per_s,
         )
+
+    def _new_id(self) -> str:
+        """Return a new id, which among several nodes begins with the name of this one."""
+        random = secrets.token_urlsafe(ID_BYTES)
+        return random if self._node is None else f"{self._settings.node}.{random}"
+
+    @asynccontextmanager
+    async def _placed(self, session: Session) -> AsyncIterator[None]:
+        """Take a place for a session that starts in this block, and add it then. Raises like ``Admission.place``."""
+        if self._node is not None:
+            session.epoch = await self._node.admit(session.owner, session.id)
+        try:
+            with self._admission.place(session):
+                yield
+                self._add(session)
+        except ProblemError as refused:
+            if refused.code is ProblemCode.AT_CAPACITY and self._node and (other := self._node.another()):
+                raise other from refused
+            raise
+
+    async def _once(
+        self, owner: str, key: str | None, data: bytes | memoryview, rest: str, make: Callable[[], Awaitable[str]]
+    ) -> str:
+        """Return the id of the session that ``make`` makes, now or when the owner's ``key`` came first, to any node."""
+        node = self._node
+        if node is None or key is None:
+            return await self._creations.once(owner, key, data, rest, make)
+        return await self._creations.once(owner, key, data, rest, lambda: node.once(owner, key, data, rest, make))
 
     def _add(self, session: Session) -> None:
         session.touch()

@@ -68,6 +68,9 @@ class Session:
         self.http_waiting = 0
         self.lost_after: int | None = None
         self.saved_to = -1
+        # Of the claim under which it is saved; and whether another node goes on with it.
+        self.epoch = 0
+        self.handed_over = False
         self.trajectory = TrajectoryLog(max_trajectory_bytes)
         self.messages = TokenBucket(max_messages_per_s, time.monotonic())
         self.lane = lane
@@ -259,6 +262,8 @@ class Session:
         """Do an operation in the session's lane and return its value. Raises ProblemError."""
         if self.ended:
             raise session_gone(self.ended)
+        if self.handed_over:
+            raise ProblemError(ProblemCode.DRAINING, "the session goes on at another node", retry_after_s=1.0)
         try:
             code, value = await self._in_lane(self.lane.call(Operation(op, args, data), changes=changes))
         finally:

@@ -8,14 +8,13 @@ import sqlite3
 from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 from zlib import crc32
 
 import msgpack
 import structlog
 
+from .database import SavedSession, StateError
 from .replay_log import Operation
 
 FILE = "sessions.sqlite3"
@@ -44,26 +43,8 @@ CREATE TABLE trajectory (session TEXT NOT NULL, seq INTEGER NOT NULL, entry BLOB
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.state")
 
 
-class StateDirError(Exception):
+class StateDirError(StateError):
     """The state directory cannot be used; the text says why and what to do."""
-
-
-@dataclass(slots=True)
-class SavedSession:
-    """A session as it is saved.
-
-    ``front`` is what the front knows of it, as plain values, and ``checkpoint`` the operation that makes its state.
-    ``entries`` are those of the trajectory since the session was saved before, by rising number and including the
-    newest one of then; entries before ``first_seq`` are gone. ``whole`` is True if nothing has happened since.
-    """
-
-    id: str
-    owner: str
-    front: dict[str, Any]
-    checkpoint: Operation
-    entries: deque[tuple[int, bytes]]
-    first_seq: int
-    whole: bool
 
 
 class StateFile:

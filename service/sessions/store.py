@@ -14,15 +14,16 @@ import structlog
 
 from ..lanes.interface import Lanes
 from ..observability.metrics import Metrics
+from ..protocol.enums import EndReason
 from ..protocol.problems import ProblemError
 from ..protocol.requests import Options
 from ..protocol.target import Row
 from ..settings import Settings
+from .database import Ended, SavedSession, SessionDatabase
 from .lane_state import LaneState, RestoreSlots
 from .replay_log import RecoveryBudget
 from .session import Session
 from .sqlite_store import SqliteStore
-from .state_file import SavedSession
 
 # The order of the options in version 1 of the state directory.
 OPTIONS_OF_VERSION_1 = ("preset", "on_resize", "label", "maps", "idle_timeout_s")
@@ -73,13 +74,25 @@ class SessionRecord:
 
 
 class SessionStore:
-    """Keeps replay logs in memory, within one budget, and saves sessions to the state directory, if one is set."""
+    """Keeps replay logs in memory, within one budget, and saves sessions to the database, if there is one.
 
-    def __init__(self, settings: Settings, lanes: Lanes, metrics: Metrics, owners: Callable[[], int]) -> None:
+    ``database`` is that of several nodes; by default it is the state directory, if one is set.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        lanes: Lanes,
+        metrics: Metrics,
+        owners: Callable[[], int],
+        database: SessionDatabase | None = None,
+    ) -> None:
         self.budget = RecoveryBudget(settings.max_recovery_bytes, owners)
         self._settings, self._lanes, self._metrics = settings, lanes, metrics
         self._restore_slots = RestoreSlots()
-        self._database = SqliteStore(Path(settings.state_dir), metrics) if settings.state_dir else None
+        if database is None and settings.state_dir:
+            database = SqliteStore(Path(settings.state_dir), metrics)
+        self._database = database
         self.all_written = True
         """False if some session could not be written when the service stopped."""
 
@@ -93,12 +106,12 @@ class SessionStore:
         return LaneState(sid, owner, self._lanes, self._restore_slots, self.budget, self._settings, self._metrics)
 
     def open(self) -> None:
-        """Open the state directory, if there is one. Raises StateDirError."""
+        """Open the database, if there is one. Raises StateError."""
         if self._database is not None:
             self._database.open()
 
     def take_over(self) -> None:
-        """Open the state directory and take over its sessions, if there is one. Raises StateDirError."""
+        """Open the database and take over its sessions, if there is one. Raises StateError."""
         if self._database is not None:
             self._database.take_over()
 
@@ -109,14 +122,22 @@ class SessionStore:
     def save(self, session: Session, *, whole: bool = False) -> None:
         """Save the session as of its newest checkpoint; ``whole`` says that nothing happens to it after that."""
         checkpoint = session.lane.replay_log.checkpoint
-        if self._database is None or checkpoint is None or session.ended:
+        if self._database is None or checkpoint is None or session.ended or session.handed_over:
             return
         trajectory = session.trajectory
         entries = deque(trajectory.newest(session.saved_to))
         session.saved_to = session.seq
         front = SessionRecord.of(session).to_dict()
-        saved = SavedSession(session.id, session.owner, front, checkpoint, entries, trajectory.first_seq, whole)
-        self._database.save(saved)
+        first, epoch = trajectory.first_seq, session.epoch
+        keep_s = self.keep_s(session)
+        self._database.save(
+            SavedSession(session.id, session.owner, front, checkpoint, entries, first, whole, epoch, keep_s)
+        )
+
+    def keep_s(self, session: Session) -> float:
+        """Return for how long a saved session may be needed, if nobody uses it before."""
+        assert session.options.idle_timeout_s is not None
+        return max(session.options.idle_timeout_s, self._settings.attached_idle_timeout_s)
 
     def restore_into(self, session: Session, saved: SavedSession, record: SessionRecord) -> None:
         """Make a new session what the saved one was. Its state comes back when it gets a lane."""
@@ -124,7 +145,7 @@ class SessionStore:
         session.size, session.region, session.rows = record.size, record.region, record.rows
         for seq, entry in saved.entries:
             session.trajectory.append_packed(seq, entry)
-        session.saved_to = session.seq
+        session.saved_to, session.epoch = session.seq, saved.epoch
         session.lost_after = None if saved.whole else session.seq
         session.lane.replay_log.reset_to(saved.checkpoint)
 
@@ -132,10 +153,17 @@ class SessionStore:
         """Delete what is kept of a session that has ended."""
         session.lane.replay_log.close()
         if self._database is not None:
-            self._database.delete(session.id)
+            reason = session.ended or EndReason.LOST
+            self._database.delete(session.id, Ended(session.owner, session.epoch, reason))
+
+    async def save_whole(self, session: Session) -> bool:
+        """Save a session as it is when its work in flight is done; return whether that is written."""
+        assert self._database is not None
+        whole = await self._save_whole(session)
+        return whole and await asyncio.to_thread(self._database.flush, self._settings.operation_deadline_s, session.id)
 
     async def save_all(self, sessions: Iterable[Session]) -> None:
-        """Save all sessions as they are when their work in flight is done, and close the state directory."""
+        """Save all sessions as they are when their work in flight is done, and close the database."""
         if self._database is None:
             return
         sessions = list(sessions)

@@ -6,6 +6,7 @@ import asyncio
 import secrets
 import time
 from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import structlog
@@ -89,7 +90,7 @@ class StreamConnection:
         self._limits = MessageLimits(session, rate_limiter, settings.max_refused_messages, self._end_for_rate)
         self._pump = Pump(session, queue, self._sender, self._replies, metrics, span, self._end_if_finished)
         self._pump_task: asyncio.Task[None] | None = None
-        self._finishing: tuple[int, str] | None = None
+        self._finishing: Callable[[], None] | None = None
 
     async def run(self, ready: dict[str, Any]) -> None:
         """Send ``ready``, then serve the socket until it ends."""
@@ -117,10 +118,10 @@ class StreamConnection:
         """Send a message when there is room."""
         self._sender.later(self._sender.send(message))
 
-    def finish(self, code: int, reason: str) -> None:
-        """Read no more, answer what has been read, and close."""
+    def finish(self, code: int, reason: str, instead: Callable[[], None] | None = None) -> None:
+        """Read no more, answer what has been read, and close; or call ``instead``, which sees to the end."""
         if self._finishing is None:
-            self._finishing = code, reason
+            self._finishing = instead or partial(self.end, code, reason)
             self._sender.later(self._finish())
 
     def end(self, code: int, reason: str) -> None:
@@ -150,7 +151,7 @@ class StreamConnection:
 
     def _end_if_finished(self) -> None:
         if self._finishing is not None and self._queue.empty and not self._pump.working:
-            self.end(*self._finishing)
+            self._finishing()
 
     def _end_for_rate(self) -> None:
         self.end(CloseCode.RATE_LIMITED, "too many messages")

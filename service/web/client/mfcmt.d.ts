@@ -57,10 +57,10 @@ export type EndReason = "closed" | "idle" | "expired" | "lost";
 /** Why a call, a message or a handshake was refused. */
 export type ProblemCode = "bad-request" | "unauthenticated" | "origin-refused" | "not-found" | "session-not-found"
   | "target-not-found" | "method-not-allowed" | "not-acceptable" | "attached-elsewhere" | "stale-frame"
-  | "full-frame-needed" | "session-gone" | "host-refused" | "frame-too-large" | "body-too-large" | "unsupported-image"
-  | "unsupported-media-type" | "frame-undecodable" | "frame-size-changed" | "bad-box" | "bad-region" | "bad-snapshot"
-  | "too-many-targets" | "over-credit" | "rate-limited" | "over-quota" | "internal" | "at-capacity" | "draining"
-  | "deadline-exceeded";
+  | "full-frame-needed" | "session-gone" | "elsewhere" | "host-refused" | "frame-too-large" | "body-too-large"
+  | "unsupported-image" | "unsupported-media-type" | "frame-undecodable" | "frame-size-changed" | "bad-box"
+  | "bad-region" | "bad-snapshot" | "too-many-targets" | "over-credit" | "rate-limited" | "over-quota" | "internal"
+  | "at-capacity" | "draining" | "deadline-exceeded";
 export type ImageType = "image/jpeg" | "image/png" | "image/webp";
 
 /** The three tests of section III-C. */
@@ -273,6 +273,8 @@ export interface ProblemDocument {
   region?: Region | null;
   /** Finds a fault of the service in its log. */
   request_id?: string;
+  /** Where another node has what was asked for. */
+  url?: string;
   [member: string]: unknown;
 }
 

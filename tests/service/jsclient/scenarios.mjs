@@ -67,6 +67,22 @@ const scenarios = {
     return { results, statuses, resumed, stats: stream.stats, seq: info.seq, size: session.info.size };
   },
 
+  /** Frames of a session that exists, which another node may have. */
+  async attached() {
+    const { fps, ...options } = given.stream;
+    const stream = client.stream(given.session, { ...options, frames: paced(frames.slice(1), fps) });
+    const resumed = [];
+    stream.on("resumed", (told) => resumed.push(told));
+    const seqs = [];
+    for await (const { seq } of stream) {
+      seqs.push(seq);
+      tell({ seq });
+    }
+    await stream.closed;
+    const session = await client.getSession(given.session);
+    return { seqs, resumed, url: session.info.stream.url };
+  },
+
   /** Frames as fast as they can be handed over, without waiting for anything. */
   async flood() {
     const session = await create();

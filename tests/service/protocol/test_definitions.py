@@ -45,7 +45,7 @@ def test_lanes_can_use_targets_and_problems_without_pydantic() -> None:
 
 def test_every_problem_has_a_row_and_every_refused_handshake_a_close_code() -> None:
     assert set(CATALOGUE) == set(ProblemCode)
-    assert all(400 <= kind.status < 600 and kind.title and kind.example and kind.when for kind in CATALOGUE.values())
+    assert all(300 <= kind.status < 600 and kind.title and kind.example and kind.when for kind in CATALOGUE.values())
     assert set(CLOSE_OF_REFUSAL) <= set(CATALOGUE)
     assert set(CLOSE_OF_REFUSAL.values()) <= set(CloseCode)
 
@@ -89,7 +89,7 @@ def test_a_field_of_a_row_that_others_follow_has_no_default() -> None:
 
 
 def test_a_message_has_its_type_first_and_its_fields_in_order() -> None:
-    made = message(answers.Draining, resumable=True, reconnect_in_s=1.5)
+    made = message(answers.Draining, url=None, resumable=True, reconnect_in_s=1.5)
     assert list(made.items()) == [("type", "draining"), ("reconnect_in_s", 1.5), ("resumable", True)]
     assert list(message(answers.Targets, targets=[], region=None, ref=None)) == ["type", "region", "targets"]
     assert list(message(answers.Targets, targets=[], region=None, ref="a")) == ["type", "ref", "region", "targets"]

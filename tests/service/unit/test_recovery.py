@@ -20,12 +20,13 @@ from service.lanes.pool import LanePool
 from service.lanes.process import LaneProcess
 from service.observability.metrics import Metrics
 from service.protocol.problems import ProblemError
+from service.sessions.database import SavedSession
 from service.sessions.interface import QueuedFrame
 from service.sessions.registry import SessionRegistry
 from service.sessions.replay_log import Operation, RecoveryBudget, ReplayLog
 from service.sessions.session import Session
 from service.sessions.sqlite_store import SqliteStore
-from service.sessions.state_file import FILE, SavedSession, StateDirError
+from service.sessions.state_file import FILE, StateDirError
 from service.settings import Settings
 
 from .test_registry import Lanes, World, settle

@@ -21,10 +21,11 @@ from prometheus_client import generate_latest
 from structlog.testing import capture_logs
 
 from service.observability.metrics import Metrics
-from service.sessions import sqlite_store
+from service.sessions import database as databases
+from service.sessions.database import SavedSession
 from service.sessions.replay_log import Operation
 from service.sessions.sqlite_store import SqliteStore
-from service.sessions.state_file import FILE, SCHEMA, SavedSession, StateDirError
+from service.sessions.state_file import FILE, SCHEMA, StateDirError
 
 PIECE = 48
 
@@ -185,7 +186,7 @@ def waiting_in(database: SqliteStore) -> dict[str, SavedSession | None]:
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sqlite_store, "RETRY_S", 0.01)
+    monkeypatch.setattr(databases, "RETRY_S", 0.01)
 
 
 @pytest.mark.usefixtures("impatient")

@@ -6,6 +6,7 @@ import { bytesOf, isEncoded } from "./encoder.js";
 import { MFCMTError, aborted, connectionLost, ofResponse, originRefused } from "./errors.js";
 import { encodeFrame } from "./frame.js";
 import { PageSessions } from "./page-sessions.js";
+import { Places } from "./places.js";
 import { Scale, UNSCALED } from "./scale.js";
 import { Session, asJson, asMessagePack, path } from "./session.js";
 import { Stream } from "./stream.js";
@@ -27,6 +28,7 @@ export class Client {
 
   constructor({ url, key, fetch, WebSocket, timeoutMs = 30_000, msgpack, workerUrl, boxesIn = "sent" } = {}) {
     this.url = baseUrl(url);
+    Object.defineProperty(this, "places", { value: new Places(this.url) });
     this.timeoutMs = timeoutMs;
     this.boxesIn = oneOf("boxesIn", ["sent", "source"], boxesIn);
     Object.defineProperty(this, "key", { value: apiKey(key) }); // not enumerable, so that no log shows it
@@ -88,7 +90,17 @@ export class Client {
 
   /** Return the URL of a session's stream. */
   streamUrl(id, members) {
-    return `ws${this.url.slice("http".length)}${path(id)}/stream${query(members)}`;
+    return `ws${this.places.url(`${path(id)}/stream${query(members)}`).slice("http".length)}`;
+  }
+
+  /** Find out which node has a session, of a service that redirects; resolves with whether that is known now. */
+  async findPlace(id) {
+    try {
+      const { redirected, url } = await this.#fetch(this.places.url(`${path(id)}/stream`), { headers: this.#headers });
+      return redirected && this.places.learn(url);
+    } catch {
+      return false;
+    }
   }
 
   /** Resolves with a worker that encodes pixels; null where there is none. */
@@ -125,21 +137,30 @@ export class Client {
       try {
         if (signal?.aborted) throw aborted(signal.reason);
         const request = { method, headers: { ...this.#headers, ...headers }, body, keepalive, signal: limit.signal };
-        const response = await this.#fetch(this.url + where, { cache: "no-store", ...request });
+        const response = await this.#fetchThere(this.places.url(where), { cache: "no-store", ...request });
         this.#answered = true;
         if (!response.ok) throw await ofResponse(response);
+        this.places.learn(response.headers.get("Location"));
         return await read(response);
       } catch (failed) {
         if (failed instanceof MFCMTError) throw failed;
         if (signal?.aborted) throw aborted(signal.reason);
-        if (await this.#refusesThisPage()) throw originRefused(this.url, pageOrigin(), failed);
-        if (attempt === attempts) throw connectionLost(this.#unreachable(), failed);
+        if (this.places.forget(where)) attempt -= 1;
+        else if (await this.#refusesThisPage()) throw originRefused(this.url, pageOrigin(), failed);
+        else if (attempt === attempts) throw connectionLost(this.#unreachable(), failed);
       } finally {
         clearTimeout(timer);
         signal?.removeEventListener("abort", abort);
       }
       await pause(RETRY_DELAY_MS * 2 ** attempt);
     }
+  }
+
+  /** Fetch, also from the node to which another one sends; `fetch` follows, but leaves the key out at other hosts. */
+  async #fetchThere(url, request) {
+    const response = await this.#fetch(url, request);
+    if (!response.redirected || !this.places.learn(response.url)) return response;
+    return response.status === 401 ? this.#fetch(response.url, request) : response;
   }
 
   /**

@@ -2,10 +2,11 @@
 
 import { codecNamed } from "./codec.js";
 import { connect } from "./connection.js";
+import { path } from "./session.js";
 import { MFCMTError, connectionLost, mayPass, streamEnded } from "./errors.js";
 
 const FIRST_DELAY_MS = 50;
-const LONGEST_DELAY_MS = 5000;
+const LONGEST_DELAY_MS = 2000;
 const IN_BROWSER = typeof document !== "undefined" || typeof WorkerGlobalScope !== "undefined";
 
 export class Connector {
@@ -56,6 +57,11 @@ export class Connector {
         unanswered ||= failed.code === "connection-lost";
         const error = await this.#explained(failed);
         const again = this.#name !== null;
+        if (this.#goesTo(error) && performance.now() < giveUpAt) {
+          wait = 0;
+          continue;
+        }
+        if (error.code === "connection-lost") this.#client.places.forget(path(this.#id));
         const ours = again && unanswered && error.code === "attached-elsewhere";
         if (performance.now() > giveUpAt || !(ours || mayPass(error, again && resumable))) throw error;
         wait = Math.max(delay * (0.5 + Math.random() / 2), (error.retryAfter ?? 0) * 1000);
@@ -116,11 +122,17 @@ export class Connector {
     return (await this.#client.ticket(this.#id, undefined, { timeoutMs: this.#options.stallMs })).ticket;
   }
 
+  /** Whether another node has the session, which is asked next. */
+  #goesTo({ code, problem }) {
+    return code === "elsewhere" && (problem.known || this.#client.places.learn(problem.url));
+  }
+
   /** Find out why a handshake was refused: outside of browsers there is an HTTP status at best, without its problem. */
   async #explained(failed) {
     if (IN_BROWSER || failed.type !== "about:blank" || this.#options.ticket) return failed;
     try {
       const { info } = await this.#client.getSession(this.#id);
+      if (await this.#client.findPlace(this.#id)) return new MFCMTError({ code: "elsewhere", status: 307, known: true });
       if (!info.stream.attached) return failed;
       return new MFCMTError({ code: "attached-elsewhere", status: 409, detail: "a stream is attached" });
     } catch (error) {

@@ -273,9 +273,14 @@ export class Stream {
     if (message.type === "result") this.#answer(message);
     else if (message.type === "targets") this.#retarget(message);
     else if (message.type === "error") this.#refuse(message);
-    else if (message.type === "draining") this.#socket.drain(message.reconnect_in_s * 1000, message.resumable);
+    else if (message.type === "draining") this.#drain(message);
     this.#queue.update();
     this.#endIfDone();
+  }
+
+  #drain({ reconnect_in_s: pauseS, resumable, url }) {
+    this.#client.places.learn(url);
+    this.#socket.drain(pauseS * 1000, resumable);
   }
 
   #answer(result) {

@@ -1,0 +1,402 @@
+"""This node among others: finds sessions, takes up those of dead nodes, and hands over its own."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import random
+import signal
+import time
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, ParamSpec, TypeVar
+
+import msgpack
+import redis
+import structlog
+
+from ..keys import Identity
+from ..lanes.interface import Lanes
+from ..protocol.enums import EndReason, ProblemCode
+from ..protocol.problems import ProblemError, elsewhere, session_gone
+from ..sessions.database import SavedSession, StateError
+from ..sessions.idempotency import content_digest
+from ..sessions.registry import SessionRegistry
+from ..sessions.session import Session
+from ..settings import Settings
+from . import scripts
+from .membership import BEAT_EVERY_S, Load, Membership, NodeReplaced
+from .redis_store import Node, RedisStore, key, new_epoch, now_ms
+
+T = TypeVar("T")
+P = ParamSpec("P")
+
+THREADS = 4
+# While Redis is away, calls that need it do not all wait for it.
+ASK_AGAIN_S = 0.5
+KEEP_EVERY_BEATS = 15
+# A place of a session that starts is kept for it for this long.
+START_MS = 60_000
+LOOKS = 3
+SESSIONS = "/v1/sessions"
+
+log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.cluster")
+
+
+class StoreAway(Exception):
+    """Redis does not answer."""
+
+
+class ClusterNode:
+    """The way from this node to the store and to the other nodes; see :class:`~service.sessions.interface.SharedNode`.
+
+    ``registry`` is set before the node starts.
+    """
+
+    registry: SessionRegistry
+
+    def __init__(self, settings: Settings, database: RedisStore, lanes: Lanes) -> None:
+        self.database, self.me = database, database.node
+        self._settings, self._lanes = settings, lanes
+        self._membership = Membership(database)
+        self._admit = database.client.register_script(scripts.ADMIT)
+        self._threads = ThreadPoolExecutor(THREADS, "mfcmt-store")
+        self._taking: dict[str, asyncio.Task[None]] = {}
+        self._leaving: dict[str, asyncio.Task[None]] = {}
+        self._failed_at: float | None = None
+        self._answered_at = time.monotonic()
+        self._beats = 0
+
+    @property
+    def leaving(self) -> int:
+        """The number of sessions that are being handed over."""
+        return sum(not task.done() for task in self._leaving.values())
+
+    async def start(self) -> None:
+        """Take the lease. Raises StateError."""
+        loop = asyncio.get_running_loop()
+
+        def on_late(sids: list[str]) -> None:
+            loop.call_soon_threadsafe(self._let_go, sids)
+
+        self.database.on_late = on_late
+        try:
+            await self._ask(self._membership.renew, self._load())
+        except StoreAway as away:
+            raise StateError(f"MFCMT_STORE: {away}") from away
+
+    async def run(self) -> None:
+        """Renew the lease for as long as the service runs."""
+        while True:
+            await asyncio.sleep(BEAT_EVERY_S)
+            try:
+                await self._renew()
+            except StoreAway:
+                pass  # told when it was noticed
+            except NodeReplaced as replaced:
+                log.error("this node stops", reason=str(replaced))
+                os.kill(os.getpid(), signal.SIGTERM)
+                return
+
+    async def stop(self) -> None:
+        """Give up the lease."""
+        try:
+            await self._ask(self._membership.leave)
+        except StoreAway:
+            log.warning("the lease could not be given up; it runs out by itself")
+        self._threads.shutdown(wait=False)
+
+    async def locate(self, owner: str, sid: str, rest: str = "", *, websocket: bool = False) -> None:
+        """Make sure that a session is here, if it is anywhere.
+
+        A session that no living node has is taken up. ``rest`` is what follows the session in the URL of the call, and
+        ``websocket`` whether it is a handshake.
+
+        Raises
+        ------
+        ProblemError
+            elsewhere if another node has it; session-gone; at-capacity if the store does not answer.
+        """
+        for _ in range(LOOKS):
+            if (task := self._leaving.get(sid)) is not None:
+                await asyncio.wait([task])
+            if await self._is_here(sid):
+                return
+            try:
+                found = await self._ask(self.database.whereabouts, sid)
+            except StoreAway as away:
+                raise _unknown_now(str(away)) from away
+            if found is None or found.owner != owner:
+                return
+            if found.ended is not None:
+                raise session_gone(found.ended.reason, found.ended.detail)
+            if found.node is not None and found.node.holder != self.me.holder:
+                raise self._elsewhere(found.node, sid, rest, websocket)
+            if self.registry.draining or not self._has_room():
+                peer = self._peer()
+                if peer is None:
+                    code = ProblemCode.DRAINING if self.registry.draining else ProblemCode.AT_CAPACITY
+                    raise ProblemError(code, "no node has a place to take the session up", retry_after_s=1.0)
+                raise self._elsewhere(peer, sid, rest, websocket)
+            await self._take_up(owner, sid)
+        raise _unknown_now("nodes change")
+
+    async def admit(self, owner: str, sid: str) -> int:
+        """Count a new session among those that the owner has at all nodes, and return the epoch of its first claim.
+
+        Raises over-quota, elsewhere while this node drains, and at-capacity if the store has been away for too long.
+        """
+        if self.registry.draining and (peer := self._peer()) is not None:
+            raise elsewhere(peer.name, peer.url + SESSIONS)
+        most, now = self._settings.max_sessions_per_key, now_ms()
+        try:
+            if most is not None and not await self._ask(
+                self._admit, keys=[key("owner", owner)], args=[now, now + START_MS, sid, most]
+            ):
+                raise ProblemError(ProblemCode.OVER_QUOTA, f"at most {most} sessions of a key", retry_after_s=1.0)
+        except StoreAway:
+            pass  # this node keeps its own limits
+        if (away_s := self._away_s()) > self._settings.store_grace_s:
+            detail = f"the store has been away for {away_s:.0f} s: no new session could outlive this node"
+            raise ProblemError(ProblemCode.AT_CAPACITY, detail, retry_after_s=BEAT_EVERY_S)
+        return new_epoch()
+
+    async def once(
+        self, owner: str, name: str, data: bytes | memoryview, rest: str, make: Callable[[], Awaitable[str]]
+    ) -> str:
+        """Return the id of what ``make`` makes, unless a call with this Idempotency-Key came to any node before.
+
+        Raises bad-request if it came with other content, elsewhere if another node has what it made.
+        """
+        place = key("creation", f"{owner} {name}")
+        digest = await asyncio.to_thread(content_digest, data, rest)
+        keep_ms = int(self._settings.idempotency_s * 1e3)
+
+        def begin() -> tuple[bytes, str, str] | None:
+            mine = msgpack.packb((digest, self.me.holder, ""))
+            found = self.database.client.set(place, mine, nx=True, get=True, px=keep_ms)
+            return None if found is None else msgpack.unpackb(found)
+
+        def end(sid: str | None) -> None:
+            if sid is None:
+                self.database.client.delete(place)
+            else:
+                self.database.client.set(place, msgpack.packb((digest, self.me.holder, sid)), px=keep_ms)
+
+        try:
+            known = await self._ask(begin)
+        except StoreAway:
+            return await make()
+        if known is not None:
+            sid = await self._made(owner, digest, *known)
+            if sid:
+                return sid
+        made = None
+        try:
+            made = await make()
+        finally:
+            try:
+                await self._ask(end, made)
+            except StoreAway:
+                log.warning("an Idempotency-Key is known to this node alone")
+        return made
+
+    async def share_ticket(self, name: str, identity: Identity, sid: str, ttl_s: float) -> None:
+        """Have every node know a ticket, of which ``name`` is the digest."""
+        ticket = msgpack.packb((identity.owner, identity.key, sid))
+        try:
+            await self._ask(self.database.client.set, key("ticket", name), ticket, px=int(ttl_s * 1e3))
+        except StoreAway:
+            log.warning("a ticket is known to this node alone")
+
+    async def ticket(self, name: str, *, spend: bool) -> tuple[Identity, str] | None:
+        """Return whose ticket it is and of which session; with ``spend`` nobody else gets it after that.
+
+        Raises StoreAway.
+        """
+        client = self.database.client
+        found: Any = await self._ask(client.getdel if spend else client.get, key("ticket", name))
+        if found is None:
+            return None
+        owner, digest, sid = msgpack.unpackb(found)
+        return Identity(owner, digest), sid
+
+    async def _made(self, owner: str, digest: bytes, known: bytes, holder: str, sid: str) -> str:
+        """Return the id that another call made, which is here; "" if the node that worked at it is gone."""
+        if known != digest:
+            raise ProblemError(ProblemCode.BAD_REQUEST, "the Idempotency-Key was used with another body")
+        if sid:
+            try:
+                await self.locate(owner, sid)
+            except ProblemError as refused:
+                if refused.code is ProblemCode.ELSEWHERE:
+                    url = str(refused.members["url"]).removesuffix(f"/{sid}")
+                    raise elsewhere(refused.detail.partition(" ")[0], url) from None
+                raise
+            return sid
+        maker = next((node for node in self._membership.peers if node.holder == holder), None)
+        if maker is None:
+            return ""
+        raise elsewhere(maker.name, maker.url + SESSIONS)
+
+    def place_for(self, sid: str) -> str | None:
+        """Return the URL of a session's stream at a node that can take it up; None if no other node is there."""
+        peer = self._peer()
+        return None if peer is None else f"{_as_websocket(peer.url)}{SESSIONS}/{sid}/stream"
+
+    def another(self) -> ProblemError | None:
+        """Return the refusal that sends a creation to a node with a place; None if there is none."""
+        peer = self._peer()
+        return None if peer is None else elsewhere(peer.name, peer.url + SESSIONS)
+
+    def streams_elsewhere(self, owner: str) -> int:
+        """Return the number of streams that the owner has at other nodes, as they said of late."""
+        return sum(load.streams.get(owner, 0) for load in self._membership.peers.values())
+
+    def hand_over(self, session: Session) -> None:
+        """Begin to save a session whole and give it up; then its stream is closed."""
+        if session.id not in self._leaving:
+            self._leaving[session.id] = asyncio.get_running_loop().create_task(self._hand_over(session))
+
+    async def _hand_over(self, session: Session) -> None:
+        if session.ended:
+            return
+        saved = await self.registry.store.save_whole(session)
+        if not saved:
+            log.error("session could not be saved whole", session=session.id)
+        else:
+            self.database.drop(session.id)
+        self.registry.let_go(session, "node restart")
+
+    async def _is_here(self, sid: str) -> bool:
+        """Return whether this node has a session; lets go of it if another one has claimed it meanwhile."""
+        session = self.registry.here(sid)
+        if session is None:
+            return False
+        if self._membership.holds or self._failed_at is not None:
+            return True
+        # The lease has run out, because this process stood still: nothing was told to it.
+        try:
+            late, _ = await self._ask(self.database.late, {sid: session.epoch})
+        except StoreAway:
+            return True
+        self._let_go(late)
+        return not late
+
+    async def _take_up(self, owner: str, sid: str) -> None:
+        """Claim a session and go on with it, once however many ask at the same time."""
+        task = self._taking.get(sid)
+        if task is None:
+            task = self._taking[sid] = asyncio.get_running_loop().create_task(self._claim(owner, sid))
+            task.add_done_callback(lambda _: self._taking.pop(sid, None))
+        await asyncio.shield(task)
+
+    async def _claim(self, owner: str, sid: str) -> None:
+        try:
+            saved: SavedSession | None = await self._ask(self.database.claim, sid)
+        except StoreAway as away:
+            raise _unknown_now(str(away)) from away
+        except StateError as damaged:
+            self.registry.bury(owner, sid, EndReason.LOST, str(damaged))
+            return
+        if saved is not None:
+            self._leaving.pop(sid, None)
+            self.registry.take_up(saved)
+            log.info("session taken up", session=sid, whole=saved.whole, seq=saved.front["seq"])
+
+    async def _renew(self) -> None:
+        if await self._ask(self._membership.renew, self._load()):
+            await self._reconcile()
+        self._beats += 1
+        if self._beats % KEEP_EVERY_BEATS == 0:
+            store = self.registry.store
+            living = {sid: store.keep_s(session) for sid, session in self.registry.living().items()}
+            await self._ask(self.database.keep, living)
+
+    async def _reconcile(self) -> None:
+        """Let go of what others have claimed, and save again what Redis does not know."""
+        sessions = self.registry.living()
+        late, unknown = await self._ask(self.database.late, {sid: one.epoch for sid, one in sessions.items()})
+        self._let_go(late)
+        for sid in sessions.keys() - set(late):
+            sessions[sid].saved_to = -1  # the next time with its whole past, in case Redis has an older one
+        for sid in unknown:
+            self.registry.store.save(sessions[sid])
+        if late or unknown:
+            log.warning("the store was without this node", claimed_by_others=len(late), saved_again=len(unknown))
+
+    def _let_go(self, sids: list[str]) -> None:
+        for sid in sids:
+            self.database.drop(sid)
+            if (session := self.registry.here(sid)) is not None:
+                self.registry.let_go(session, "another node has taken the session up")
+
+    def _peer(self) -> Node | None:
+        """Return another node that takes sessions, by chance in proportion to its free places."""
+        free = {node: load.free for node, load in self._membership.peers.items() if load.open and load.free > 0}
+        return random.choices(list(free), list(free.values()))[0] if free else None  # noqa: S311
+
+    def _elsewhere(self, node: Node, sid: str, rest: str, websocket: bool) -> ProblemError:
+        url = _as_websocket(node.url) if websocket else node.url
+        return elsewhere(node.name, f"{url}{SESSIONS}/{sid}{rest}")
+
+    def _has_room(self) -> bool:
+        return self._free() > 0
+
+    def _free(self) -> int:
+        """Return the number of free places in lanes that are ready."""
+        most = self._settings.max_sessions_per_lane
+        return sum(max(0, most - lane.keys) for lane in self._lanes.status() if lane.ready)
+
+    def _load(self) -> Load:
+        sessions = self.registry.living().values()
+        streams = Counter(one.owner for one in sessions if one.attachment is not None)
+        return Load(self._free(), not self.registry.draining, streams)
+
+    def _away_s(self) -> float:
+        """Return for how long Redis has not answered; 0 while it does."""
+        return 0.0 if self._failed_at is None else time.monotonic() - self._answered_at
+
+    async def _ask(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """Do what waits for Redis in a thread. Raises StoreAway."""
+        if self._failed_at is not None and time.monotonic() - self._failed_at < ASK_AGAIN_S:
+            raise StoreAway("Redis does not answer")
+        try:
+            done = await asyncio.get_running_loop().run_in_executor(self._threads, lambda: work(*args, **kwargs))
+        except (redis.RedisError, OSError) as failed:
+            if self._failed_at is None:
+                log.error("the store is away: streams go on", fault=str(failed))
+            self._failed_at = time.monotonic()
+            raise StoreAway(f"Redis does not answer ({failed})") from failed
+        if self._failed_at is not None:
+            log.info("the store is back", away_s=round(self._away_s(), 1))
+        self._failed_at, self._answered_at = None, time.monotonic()
+        return done
+
+
+def _as_websocket(url: str) -> str:
+    return f"ws{url.removeprefix('http')}"
+
+
+def _unknown_now(why: str) -> ProblemError:
+    detail = f"it cannot be told now which node has the session: {why}"
+    return ProblemError(ProblemCode.AT_CAPACITY, detail, retry_after_s=1.0)
+
+
+def make_node(settings: Settings, lanes: Lanes, metrics: Any) -> ClusterNode | None:
+    """Return this node, None where it is the only one. Raises StateError for a store that cannot be named."""
+    if settings.store is None:
+        return None
+    me = Node(settings.node, os.urandom(8).hex(), settings.node_url)
+    try:
+        database = RedisStore(
+            settings.store.get_secret_value(),
+            me,
+            metrics,
+            every_s=settings.store_every_s,
+            remember_s=settings.tombstone_s,
+        )
+    except ValueError as wrong:
+        raise StateError(f"MFCMT_STORE cannot be used: {wrong}") from wrong
+    return ClusterNode(settings, database, lanes)
