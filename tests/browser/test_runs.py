@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from mfcmt_core.interpolate import join
 
 from .conftest import Open, loop
 from .driver import Tracker
@@ -233,3 +237,58 @@ async def test_no_frame_is_left_out_by_a_target_that_is_added_at_once(open_page:
         await user.page.click("#play")
         await user.end()
         assert sorted(await of(user, 1)) == list(range(COUNT))
+
+
+async def test_a_target_is_tracked_between_two_boxes_from_both_ends(open_page: Open, tmp_path: Path) -> None:
+    """Near each box the way is that which was tracked from it; nothing else changes, and undo brings all back."""
+    async with open_page() as user:
+        await begun(user, tmp_path)
+        await user.end()
+        before = await of(user, 1)
+        assert await user.page.is_disabled("#join"), "there is one box only"
+        await user.go_to(40)
+        x, y, w, h = before[40]
+        await user.drag((x + w / 2, y + h / 2), (x + w / 2 - 15, y + h / 2))
+        await user.until("document.getElementById('log').innerText.includes('Target 1 corrected')")
+        corrected = await of(user, 1)
+        await user.page.click("#join")
+        await user.until("document.getElementById('log').innerText.includes('and joined')")
+        joined = await of(user, 1)
+        assert sorted(joined) == list(range(41))
+        assert {frame: joined[frame] for frame in (0, 40)} == {frame: corrected[frame] for frame in (0, 40)}
+        assert joined[1][0] == pytest.approx(before[1][0], abs=2)
+        assert joined[39][0] == pytest.approx(corrected[40][0] - 1, abs=2)
+        assert joined[39][0] < before[39][0] - 8
+        await user.page.keyboard.press("Control+z")
+        assert await of(user, 1) == corrected
+        await user.page.keyboard.press("Control+Shift+z")
+        assert await of(user, 1) == joined
+        await user.page.click("#play")
+        await user.end()
+        assert sorted(await of(user, 1)) == list(range(COUNT))
+
+
+@dataclass
+class Way:
+    """What `join` reads of a result."""
+
+    box: tuple[float, ...]
+    confidence: float
+
+
+async def test_ways_are_joined_as_the_library_joins_them(open_page: Open) -> None:
+    random = np.random.default_rng(3)
+    count = 40
+    ahead, back = random.uniform(0.2, 0.3, (2, count, 4))
+    ahead[15:, 0] += 0.4  # they part, and meet nowhere again
+    sure = random.uniform(0, 1, (2, count))
+    shares = (np.arange(count) + 1) / (count + 1)
+    ways = [
+        [Way(tuple(box), value) for box, value in zip(*one, strict=True)] for one in ((ahead, sure[0]), (back, sure[1]))
+    ]
+    wanted = [(*result.box, result.confidence) for result, _ in join(*ways, shares)]  # type: ignore[arg-type]
+    rows = [[{"box": way.box, "confidence": way.confidence} for way in one] for one in ways]
+    code = f"import('./static/page/join.js').then(({{join}}) => join(...{json.dumps(rows)}, {shares.tolist()}))"
+    async with open_page() as user:
+        found = await user.page.evaluate(code)
+    assert np.array([(*row["box"], row["confidence"]) for row in found]) == pytest.approx(np.array(wanted))

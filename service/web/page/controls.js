@@ -13,7 +13,7 @@ export class Controls {
   }
 
   update() {
-    const { state, source, player, run, intent, chosen, runs, stage, recorder } = this.#app;
+    const { state, source, player, run, intent, chosen, runs, stage, recorder, edits } = this.#app;
     const here = source !== null;
     document.documentElement.dataset.state = state;
     byId("welcome").hidden = here;
@@ -30,6 +30,7 @@ export class Controls {
     }
     press("add-target", run !== null, intent === "add");
     press("redraw-target", run !== null && chosen !== null, intent === "correct");
+    enable("join", state !== "starting" && edits.between.ends !== null);
     stage.free = intent !== null;
     enable("open-export", Boolean(run?.records.length));
     press("record", here && Recorder.possible, recorder.running);
@@ -70,9 +71,9 @@ export class Controls {
   }
 
   #hint() {
-    const { state, stage, player, run, chosen, intent, source, shown } = this.#app;
+    const { state, stage, player, run, chosen, intent, source, shown, edits } = this.#app;
     if (stage.byKeys) return "Arrows move the box, Shift and arrows resize it, Enter sets it, Esc cancels";
-    if (state === "starting") return "Starting…";
+    if (state === "starting") return edits.between.doing ?? "Starting…";
     if (state === "open") return stage.scene.suggestion ? "Or drag a box around anything else" : "Drag a box around what to follow";
     if (!run) return "";
     const name = run.targets.get(chosen)?.name;

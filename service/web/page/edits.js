@@ -1,5 +1,6 @@
 // What a person does to runs: sets boxes, goes on, stops, shows another run, takes back.
 
+import { Between } from "./between.js";
 import { read } from "./importer.js";
 import { log, notice } from "./panels.js";
 import { Run } from "./run.js";
@@ -11,6 +12,7 @@ export class Edits {
   constructor(app) {
     this.#app = app;
     this.#runs = app.runs;
+    this.between = new Between(app);
   }
 
   /** Set a target's box in the picture that is shown; what follows is followed anew. */
@@ -48,6 +50,22 @@ export class Edits {
     if (!source.live) await this.#app.player.move((one) => one.seek(time));
     const here = run.alive().filter(({ id }) => source.live || run.end(id) === time);
     await this.#tried(here.map(({ id }) => ({ target: id, box: run.row(id, time).box })), play, () => this.resume(play));
+  }
+
+  /** Track the chosen target between its newest box up to here and the one that was set before, from both ends. */
+  async join() {
+    const { between } = this;
+    const app = this.#app;
+    if (app.state === "starting" || !between.ends) return;
+    const [{ target }, { time }] = between.ends;
+    this.#runs.keep(`the way of target ${target} between two boxes`);
+    try {
+      if (await between.join()) log.add(app.clock(time), `Target ${target}`, "tracked back to the box before, and joined");
+    } catch (error) {
+      this.#runs.giveUp();
+      app.trouble.tell(error, { again: () => this.join() });
+    }
+    app.panels(true);
   }
 
   /** Follow the shown run's targets once more as another run, through every frame, from the boxes that were set. */

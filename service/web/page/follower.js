@@ -1,7 +1,7 @@
 // Follows a run's targets through its source: what has to be sent, and what its answers say.
 
 import { Frames } from "./frames.js";
-import { Tracking } from "./tracking.js";
+import { Tracking, rowOf } from "./tracking.js";
 
 /** `reached` is the time of the newest frame that was sent, up to which a file has been followed. */
 export class Follower {
@@ -98,13 +98,13 @@ export class Follower {
     return [...marks, ...others.map(({ id }) => ({ target: id, box: this.run.row(id, time).box }))];
   }
 
-  #note({ seq, size: [width, height], targets, timing }, ids, frame) {
+  #note({ seq, size, targets, timing }, ids, frame) {
     if (!frame) return;
     const rows = new Map();
     const maps = new Map();
-    targets.forEach(({ box: [x, y, w, h], maps: own, id: _, ...told }, i) => {
-      rows.set(ids[i], { ...told, box: [x / width, y / height, w / width, h / height] });
-      if (own) maps.set(ids[i], own);
+    targets.forEach((target, i) => {
+      rows.set(ids[i], rowOf(target, size));
+      if (target.maps) maps.set(ids[i], target.maps);
     });
     this.heard = frame.time;
     this.run.put({ time: frame.time, frame: frame.index, seq: seq + this.#base, size: this.sourceSize(), rows });

@@ -49,6 +49,7 @@ on("flip", () => {
 });
 on("seek", ({ target }) => app.goTo(Number(target.value)), "input");
 on("add-target", () => intend("add"));
+on("join", () => app.edits.join());
 on("redraw-target", () => intend("correct"));
 on("record", record);
 on("key-cancel", () => byId("key-dialog").close("cancel"));
@@ -73,6 +74,7 @@ const KEYS = {
   ".": () => app.step(),
   ",": () => app.back(),
   a: () => intend("add"),
+  b: () => app.edits.join(),
   c: correct,
   r: record,
   "+": () => app.stage.zoom.step(true),

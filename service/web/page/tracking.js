@@ -178,5 +178,10 @@ export class Tracking {
   }
 }
 
+/** A target of a result as a row of a run: its box in fractions of the frame, without maps. */
+export function rowOf({ box: [x, y, w, h], maps: _, id: __, ...told }, [width, height]) {
+  return { ...told, box: [x / width, y / height, w / width, h / height] };
+}
+
 const sizeOf = ({ canvas: { width, height } }) => [width, height];
 const pixels = ([x, y, w, h], [width, height]) => [x * width, y * height, w * width, h * height];
