@@ -253,7 +253,7 @@ export class App {
       this.player.exact = this.mode === "lossless";
       await this.player.refresh();
     }
-    if (tracking?.stream) Object.assign(tracking.stream, { quality: values.quality, regions: values.regions });
+    if (tracking?.stream) tracking.set(values);
     this.panels();
   }
 

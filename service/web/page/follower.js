@@ -71,6 +71,7 @@ export class Follower {
     const busy = tracking.mode === "lossless" || due.length ? this.#sending : !tracking.open;
     if (busy) {
       this.skipped++;
+      tracking.skip();
       return;
     }
     this.#sending = true;

@@ -1,6 +1,7 @@
 // One session with its stream, and the map from its targets to the run's numbers.
 
 import { Client } from "../client/mfcmt.js";
+import { Uplink } from "./uplink.js";
 
 const KEY = "mfcmt.key";
 const IDLE_S = 120; // a page that vanished does not keep its place for long
@@ -30,6 +31,7 @@ export class Tracking {
   #newest = null; // the seq and size of the newest frame that was answered
   #heardAt = 0;
   #ended = false;
+  #uplink = new Uplink();
 
   constructor(handlers) {
     Object.assign(this, handlers);
@@ -62,9 +64,22 @@ export class Tracking {
     const takeover = Boolean(this.stream); // of the attachment that was just closed
     const stream = this.session.stream({ mode, quality, regions, takeover });
     this.stream = stream;
+    if (mode === "latest") this.#uplink.attach(stream, quality, Math.max(...this.#newest[1]));
     stream.on("status", (change) => this.stream === stream && !this.#ended && this.onstatus(change));
     stream.on("problem", (error) => this.stream === stream && !this.#ended && this.onproblem(error));
     this.#listen(stream);
+  }
+
+  /** Change what the stream sends from now on. */
+  set({ quality, regions }) {
+    this.stream.regions = regions;
+    if (this.mode === "latest") this.#uplink.set(quality);
+    else this.stream.quality = quality;
+  }
+
+  /** Note that a frame was left out, because there was no room for it. */
+  skip() {
+    this.#uplink.skip();
   }
 
   get mode() {
@@ -138,6 +153,7 @@ export class Tracking {
         if (this.stream !== stream || this.#ended) return;
         this.#newest = [result.seq, result.size];
         this.#heardAt = performance.now();
+        if (stream.mode === "latest") this.#uplink.note(result.timing);
         this.onresult(result, this.#numbered(result.targets), this.#frames.get(result.ts));
         for (const ts of this.#frames.keys()) if (ts <= result.ts) this.#release(ts);
       }
