@@ -10,7 +10,7 @@ import structlog
 from starlette.datastructures import Headers
 from starlette.types import Receive, Scope, Send
 
-from ..connections import ABORT_EXTENSION, LEAVE_EXTENSION, OVER_CONNECTION_LIMIT, SHARE
+from ..connections import ABORT_EXTENSION, LEAVE_EXTENSION, OVER_CONNECTION_LIMIT, SHARE, WRITE_EXTENSION
 from ..keys import Identity
 from ..observability.sampled import Sampled
 from ..protocol.answers import Error, Ready, message
@@ -67,6 +67,7 @@ class StreamEndpoint:
             self._service.metrics,
             receive,
             send,
+            scope["extensions"].get(WRITE_EXTENSION, lambda _: False),
             scope["extensions"].get(ABORT_EXTENSION, lambda: None),
             scope["state"]["request_id"],
             scope["state"].get("span"),

@@ -6,11 +6,26 @@ import resource
 
 from ..sessions.byte_budget import ByteBudget
 from ..settings import Settings
-from .base import ABORT_EXTENSION, CUT_ABOVE, LEAVE_EXTENSION, OVER_CONNECTION_LIMIT, SHARE
+from .base import (
+    ABORT_EXTENSION,
+    CUT_ABOVE,
+    LEAVE_EXTENSION,
+    OVER_CONNECTION_LIMIT,
+    SHARE,
+    WRITE_EXTENSION,
+)
 from .calls import CallProtocol
 from .streams import FrameProtocol
 
-__all__ = ["ABORT_EXTENSION", "LEAVE_EXTENSION", "OVER_CONNECTION_LIMIT", "SHARE", "allow_files", "protocols"]
+__all__ = [
+    "ABORT_EXTENSION",
+    "LEAVE_EXTENSION",
+    "OVER_CONNECTION_LIMIT",
+    "SHARE",
+    "WRITE_EXTENSION",
+    "allow_files",
+    "protocols",
+]
 
 SPARE_FILES = 256
 

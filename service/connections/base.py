@@ -11,6 +11,8 @@ from .. import turns
 ABORT_EXTENSION = "mfcmt.abort"
 # A function that sends what was written, reads no more, and closes.
 LEAVE_EXTENSION = "mfcmt.leave"
+# A function that sends a message at once and returns True; where it returns False, ASGI's ``send`` waits or says why.
+WRITE_EXTENSION = "mfcmt.write"
 # In the state of a scope: whether there are more than max_connections.
 OVER_CONNECTION_LIMIT = "mfcmt.over_connection_limit"
 # In the state of a scope: the connection's share of the byte budget.

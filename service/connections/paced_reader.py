@@ -9,17 +9,16 @@ from websockets import frames
 from websockets.streams import StreamReader
 
 from ..landing import LARGE_BYTES, Landing
+from .whole import MASK_BYTES, apply_mask
 
 # Frames of one connection that are parsed between two turns of the event loop, about 20 µs each.
 FRAMES_A_TURN = 32
-MASK_BYTES = 4
 
 _parser: Any = frames
-_apply_mask = _parser.apply_mask
 
 
 def _unless_unmasked(data: Any, mask: bytes) -> Any:
-    return data if type(data) is memoryview else _apply_mask(data, mask)
+    return data if type(data) is memoryview else apply_mask(data, mask)
 
 
 # The parser has no other way to take a payload as it is.
@@ -38,6 +37,12 @@ class PacedReader(StreamReader):
         self._left = FRAMES_A_TURN
         self._mask: bytes | bytearray = b""
         self._landing: Landing | None = None
+        self._between = False
+
+    @property
+    def idle(self) -> bool:
+        """Whether the parser waits for a frame of which nothing has come."""
+        return self._between and not self.buffer
 
     @property
     def held(self) -> int:
@@ -62,7 +67,10 @@ class PacedReader(StreamReader):
             self.behind = True
             yield
         self._left -= 1
-        return (yield from super().at_eof())
+        self._between = True
+        ended = yield from super().at_eof()
+        self._between = False
+        return ended
 
     def read_exact(self, n: int) -> Generator[None, None, Any]:
         """Return ``n`` bytes. Of a frame, the parser reads the mask right before the payload."""
@@ -76,7 +84,7 @@ class PacedReader(StreamReader):
             size = len(self.buffer)
             size = missing if size >= missing else size - size % MASK_BYTES
             if size:
-                landing.add(_apply_mask(self.buffer[:size], mask))
+                landing.add(apply_mask(self.buffer[:size], mask))
                 del self.buffer[:size]
             elif self.eof:
                 raise EOFError(f"stream ends after {landing.filled} bytes, expected {n} bytes")

@@ -10,6 +10,7 @@ import structlog
 from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.frames import CloseCode, Frame
+from websockets.protocol import OPEN
 
 from .. import turns
 from ..observability.sampled import Sampled
@@ -23,10 +24,13 @@ from .base import (
     OVER_CONNECTION_LIMIT,
     SHARE,
     TOO_MANY_BYTES,
+    WRITE_EXTENSION,
     Lingering,
     ended,
 )
+from .inbox import Inbox
 from .paced_reader import FRAMES_A_TURN, PacedReader
+from .whole import BINARY, TEXT, head_of, whole_message
 
 # Messages of one connection that the application gets between two turns.
 MESSAGES_A_TURN = 16
@@ -47,6 +51,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
+        self.queue: Any = Inbox()
         self._reader = self.conn.reader = PacedReader()
         self.conn.parser = self.conn.parse()  # reads from the new reader
         next(self.conn.parser)
@@ -67,6 +72,8 @@ class FrameProtocol(WebSocketsSansIOProtocol):
 
     def data_received(self, data: bytes) -> None:
         """Take bytes of frames; frames beyond those of one turn wait for the next one."""
+        if self._take_whole(data):
+            return
         # Frames that wait for a turn stay in front of these; a frame that comes alone asks for no turn.
         self._reader.turn(0 if self._reader.behind else FRAMES_A_TURN)
         super().data_received(data)
@@ -101,12 +108,17 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         return message
 
     def send_receive_event_to_app(self) -> None:
-        """Queue a complete message, and pause reading until the application has taken it."""
+        """Queue a complete message, and pause reading if the application has not taken the one before.
+
+        Most are taken at once, so reading is not paused for each: that would be two calls of the system.
+        """
         parts, self.frames, self._begun_at = self.frames, [], 0.0
         if self.close_sent:
             self._count_frame()
             return
         data = parts[0] if len(parts) == 1 else b"".join(parts)
+        if not self.queue.empty():
+            self._pause_reading()
         if self.curr_msg_data_type == "text":
             try:
                 self.queue.put_nowait({"type": "websocket.receive", "text": str(data, "utf-8")})
@@ -117,7 +129,6 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         else:
             self.queue.put_nowait({"type": "websocket.receive", "bytes": data})
         self._queued_bytes += len(data)
-        self._pause_reading()
 
     def handle_cont(self, event: Frame) -> None:
         """Take a further fragment of a message."""
@@ -145,6 +156,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         extensions: dict[str, Any] = self.scope["extensions"]
         extensions[ABORT_EXTENSION] = self.transport.abort
         extensions[LEAVE_EXTENSION] = self._leave
+        extensions[WRITE_EXTENSION] = self.write
         self.scope["state"][SHARE] = self._share
         self.scope["state"][OVER_CONNECTION_LIMIT] = len(self.connections) > self.settings.max_connections
         try:
@@ -164,6 +176,17 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         await super().send(message)
         if self.initial_response is not None and self.close_sent:
             self.handshake_complete = True
+
+    def write(self, message: str | bytes) -> bool:
+        """Send a message now. Return False, without having sent it, if the client reads slowly or the stream ends.
+
+        It does what :meth:`send` would, without an event, a future and the copies of a frame for it.
+        """
+        if self.conn.state is not OPEN or self.close_sent or self._ends or not self.writable.is_set():
+            return False
+        first, payload = (TEXT, message.encode()) if isinstance(message, str) else (BINARY, message)
+        self.transport.write(head_of(payload, first) + payload)
+        return True
 
     def pause_writing(self) -> None:
         """The client reads slower than the service writes: count the bytes that it has not read."""
@@ -193,6 +216,19 @@ class FrameProtocol(WebSocketsSansIOProtocol):
     @property
     def _ends(self) -> bool:
         return self._left or self.transport.is_closing()
+
+    def _take_whole(self, data: bytes) -> bool:
+        """Take a message that comes alone and in one piece past the parser; return False for all else."""
+        conn = self.conn
+        if not self._reader.idle or conn.current_size is not None or conn.state is not OPEN or self._ends:
+            return False
+        most = conn.max_message_size
+        if len(data) > LARGE_READ_BYTES or (message := whole_message(data, most or len(data))) is None:
+            return False
+        self.curr_msg_data_type, self.frames = "bytes", [message]
+        self.send_receive_event_to_app()
+        self._count_bytes()
+        return True
 
     def _refuse(self, code: int, reason: str) -> None:
         """End a connection that was failed: tell the application, then the client, whatever that one still sends."""

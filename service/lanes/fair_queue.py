@@ -62,19 +62,26 @@ class FairOwnerQueue(Generic[T]):
     """Items by owner and key. Owners share time fairly, and the keys of an owner share its part fairly."""
 
     def __init__(self) -> None:
+        self.waiting = 0
+        """The number of items that wait."""
         self._owners: FairQueue[None] = FairQueue()  # one entry for each item of an owner
         self._keys: dict[str, FairQueue[T]] = {}
 
     def push(self, owner: str, key: str, item: T) -> None:
         """Queue ``item`` behind those of the same key."""
+        self.waiting += 1
         self._owners.push(owner, None)
-        self._keys.setdefault(owner, FairQueue()).push(key, item)
+        keys = self._keys.get(owner)
+        if keys is None:
+            keys = self._keys[owner] = FairQueue()
+        keys.push(key, item)
 
     def pop(self) -> T | None:
         """Remove and return the next item; None if no item waits."""
         turn = self._owners.pop()
         if turn is None:
             return None
+        self.waiting -= 1
         found = self._keys[turn[0]].pop()
         assert found is not None
         return found[1]
@@ -91,6 +98,7 @@ class FairOwnerQueue(Generic[T]):
             return []
         keys = self._keys[owner]
         items = keys.forget(key)
+        self.waiting -= len(items)
         for _ in items:
             self._owners.take(owner)
         if not keys.known:

@@ -40,8 +40,8 @@ class FramingError(Exception):
 
 def encode_call(op: str, key: str, args: Mapping[str, Any], data: bytes | memoryview = b"") -> Buffers:
     """Return the payload of a call: one MessagePack array whose last item is ``data`` itself, not a copy."""
-    head = b"\x94" + msgpack.packb(op) + msgpack.packb(key) + msgpack.packb(args)
-    return (head + BIN32.pack(0xC6, len(data)), data)
+    head = msgpack.packb((op, key, args))
+    return (b"\x94" + head[1:] + BIN32.pack(0xC6, len(data)), data)
 
 
 def is_large(request: Buffers) -> bool:
@@ -102,6 +102,11 @@ class Splitter:
 
     def feed(self, data: bytes) -> Iterator[tuple[int, bytes | memoryview]]:
         """Yield ``call, payload`` of every message that ``data`` completes. Raises FramingError."""
+        if not self._rest and len(data) >= HEAD.size:
+            length, call = HEAD.unpack_from(data)
+            if length == len(data) - HEAD.size:  # most replies come alone
+                yield call, memoryview(data)[HEAD.size :]
+                return
         self._rest += data
         at = 0
         while len(self._rest) - at >= HEAD.size:

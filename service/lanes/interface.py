@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Awaitable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -110,7 +110,7 @@ class Lanes(Protocol):
     def holds(self, key: str) -> bool:
         """Return whether ``key`` has a place in a lane."""
 
-    async def call(self, key: str, request: Buffers) -> bytes | memoryview:
+    def call(self, key: str, request: Buffers) -> Awaitable[bytes | memoryview]:
         """Do one operation in the key's lane: send a MessagePack value and return the reply. Raises LaneLost.
 
         The calls of one key are done in their order. Owners, and the keys of each, share a lane's time fairly.

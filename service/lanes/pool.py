@@ -7,7 +7,7 @@ import atexit
 import contextlib
 import multiprocessing
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable
 from multiprocessing import forkserver
 from typing import Any
 
@@ -136,12 +136,12 @@ class LanePool:
         """Return whether ``key`` has a place in a lane."""
         return key in self._homes
 
-    async def call(self, key: str, request: Buffers) -> bytes | memoryview:
+    def call(self, key: str, request: Buffers) -> Awaitable[bytes | memoryview]:
         """Do one operation in the key's lane and return the reply. Raises LaneLost."""
         lane = self._homes.get(key)
         if lane is None:
             raise LaneLost(LaneLoss.ABSENT)
-        return await lane.call(key, request)
+        return lane.call(key, request)
 
     def release(self, key: str) -> None:
         """Free the key's place."""

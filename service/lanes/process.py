@@ -224,7 +224,8 @@ class LaneProcess(asyncio.Protocol):
     def _answer(self, call: PendingCall, payload: bytes | memoryview) -> None:
         if not call.answer.done():
             call.answer.set_result(payload)
-        self._large.end(call)
+        if call.large:
+            self._large.end(call)
 
     def _enqueue(self, call: PendingCall) -> None:
         """Queue a call of which there is a little to send."""
@@ -242,7 +243,9 @@ class LaneProcess(asyncio.Protocol):
 
     def _dispatch(self) -> None:
         assert self._transport is not None
-        while self._takes_more() and (call := self._queue.pop()) is not None:
+        while self._queue.waiting and self._takes_more():
+            call = self._queue.pop()
+            assert call is not None
             if call.answer.done():
                 self._large.take_back(call)
                 continue

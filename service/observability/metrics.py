@@ -11,6 +11,7 @@ from ..protocol.enums import CloseCode, EndReason, LaneLoss, Preset, Status
 from ..protocol.problems import CATALOGUE
 from ..sessions.byte_budget import ByteBudget
 from .lag import Lag
+from .per_frame import FrameCounter, FrameHistogram
 from .stages import Stages
 
 if TYPE_CHECKING:
@@ -53,8 +54,6 @@ class Metrics:
         self._make_streams_and_lanes()
         self._make_stages()
         self._make_recovery()
-        self._by_stream = self.frames_received.labels(via="stream")
-        self._by_http = self.frames_received.labels(via="http")
 
     def _counter(self, name: str, text: str, **known: Iterable[str]) -> Counter:
         """Return a counter. Values of a single label that are ``known`` are there from the start, at zero.
@@ -68,6 +67,9 @@ class Metrics:
 
     def _seconds(self, name: str, text: str, buckets: tuple[float, ...] = SECONDS) -> Histogram:
         return Histogram(name, text, buckets=buckets, registry=self.registry)
+
+    def _of_frames(self, name: str, text: str, buckets: tuple[float, ...] = SECONDS) -> FrameHistogram:
+        return FrameHistogram(name, text, buckets, self.registry)
 
     def _sizes(self, name: str, text: str) -> Histogram:
         return Histogram(name, text, buckets=SIZES, registry=self.registry)
@@ -84,10 +86,10 @@ class Metrics:
 
     def _make_frames(self) -> None:
         counter = self._counter
-        self.frames_received = counter(
-            "mfcmt_frames_received_total", "Frame messages and calls", via=("stream", "http")
+        self.frames_received = FrameCounter(
+            "mfcmt_frames_received_total", "Frame messages and calls", self.registry, "via", ("stream", "http")
         )
-        self.frame_bytes = counter("mfcmt_frame_bytes_total", "Encoded bytes of frames received")
+        self.frame_bytes = FrameCounter("mfcmt_frame_bytes_total", "Encoded bytes of frames received", self.registry)
         self.frames_dropped = counter("mfcmt_frames_dropped_total", "Frames that were not tracked", reason=DROPS)
         self.problems = counter("mfcmt_problems_total", "Refusals sent to clients", code=CATALOGUE)
         self.requests = counter("mfcmt_http_requests_total", "HTTP calls answered", method=(), path=(), status=())
@@ -102,31 +104,35 @@ class Metrics:
 
     def _make_stages(self) -> None:
         """Make what a frame's way is measured by, and the event loop."""
-        counter, seconds = self._counter, self._seconds
-        self.receive_seconds = seconds(
+        seconds, of_frames = self._seconds, self._of_frames
+        self.receive_seconds = of_frames(
             "mfcmt_frame_receive_seconds", "Time from a frame's arrival to the queue: parsing and checks", SHORT_SECONDS
         )
-        self.queue_seconds = seconds(
+        self.queue_seconds = of_frames(
             "mfcmt_frame_queue_seconds", "Time that a frame waits for the one before it in its session"
         )
-        self.transit_seconds = seconds(
+        self.transit_seconds = of_frames(
             "mfcmt_frame_transit_seconds", "Time to the lane and back, with the lane's queue"
         )
-        self.decode_seconds = seconds("mfcmt_frame_decode_seconds", "Decoding of a frame")
-        self.track_seconds = seconds("mfcmt_frame_track_seconds", "Tracking of all targets in a frame")
-        self.target_confidence = Histogram(
-            "mfcmt_target_confidence",
-            "Confidence of each target in each frame",
-            buckets=CONFIDENCES,
-            registry=self.registry,
+        self.decode_seconds = of_frames("mfcmt_frame_decode_seconds", "Decoding of a frame")
+        self.track_seconds = of_frames("mfcmt_frame_track_seconds", "Tracking of all targets in a frame")
+        self._by_stage = (
+            self.receive_seconds,
+            self.queue_seconds,
+            self.transit_seconds,
+            self.decode_seconds,
+            self.track_seconds,
         )
-        self.target_results = counter(
-            "mfcmt_target_results_total", "Targets in tracked frames by their status", status=Status
+        self.target_confidence = of_frames(
+            "mfcmt_target_confidence", "Confidence of each target in each frame", CONFIDENCES
         )
-        self.send_seconds = seconds(
+        self.target_results = FrameCounter(
+            "mfcmt_target_results_total", "Targets in tracked frames by their status", self.registry, "status", Status
+        )
+        self.send_seconds = of_frames(
             "mfcmt_frame_send_seconds", "Writing a stream's result to its socket", SHORT_SECONDS
         )
-        self.total_seconds = seconds("mfcmt_frame_total_seconds", "Time from a frame's arrival to its result")
+        self.total_seconds = of_frames("mfcmt_frame_total_seconds", "Time from a frame's arrival to its result")
         self.request_seconds = seconds("mfcmt_http_request_seconds", "HTTP calls, from head to last byte")
         self.loop_lag_seconds = seconds("mfcmt_event_loop_lag_seconds", "How late a timer of the event loop fires")
         self.lag = Lag(self.loop_lag_seconds)
@@ -165,13 +171,13 @@ class Metrics:
 
     def stream_frame(self, size: int) -> None:
         """Count a frame message of ``size`` bytes."""
-        self._by_stream.inc()
-        self.frame_bytes.inc(size)
+        self.frames_received.counts["stream"] += 1
+        self.frame_bytes.counts[""] += size
 
     def http_frame(self, size: int) -> None:
         """Count a frame of ``size`` bytes that came in an HTTP call."""
-        self._by_http.inc()
-        self.frame_bytes.inc(size)
+        self.frames_received.counts["http"] += 1
+        self.frame_bytes.counts[""] += size
 
     def refused_message(self, code: str, *, frame: bool) -> None:
         """Count a refusal on a stream; ``frame``: of a frame."""
@@ -195,7 +201,7 @@ class Metrics:
         """Count the targets of one result."""
         for target in targets:
             self.target_confidence.observe(target["confidence"])
-            self.target_results.labels(target["status"]).inc()
+            self.target_results.counts[target["status"]] += 1
 
     def frame(
         self, stages: Stages, session: str, seq: int, within: Span | None, *, live: bool, sent_s: float = 0.0
@@ -204,11 +210,7 @@ class Metrics:
         trace_id = None
         if self.tracing is not None and within is not None:
             trace_id = self.tracing.frame(stages, sent_s, session, seq, within, live=live)
-        self.receive_seconds.observe(stages.receive)
-        self.queue_seconds.observe(stages.queue)
-        self.transit_seconds.observe(stages.transit)
-        self.decode_seconds.observe(stages.decode)
-        self.track_seconds.observe(stages.track)
+        FrameHistogram.observe_each(self._by_stage, stages)
         if sent_s:
             self.send_seconds.observe(sent_s)
         exemplar = {"trace_id": trace_id} if trace_id else None

@@ -29,7 +29,7 @@ class ReceivedFrame:
     """
 
     data: bytes | memoryview
-    meta: Meta = NO_META
+    meta: Meta | FrameMessage = NO_META
     problem: ProblemError | None = None
 
 
@@ -90,9 +90,10 @@ class MsgpackReader:
         if bytes(data[:3]) in IMAGES:
             raise Unreadable('a bare image in mfcmt.v1.msgpack; a frame is {"type": "frame", "frame": bytes}')
         sent = _map(from_msgpack(data))
+        if sent.get("type") == FrameMessage.TYPE:
+            return _frame(sent)
         try:
-            kind = _kind(sent, FrameMessage.TYPE)
-            return _frame(sent) if kind == FrameMessage.TYPE else read(CONTROLS[kind], sent)
+            return read(CONTROLS[_kind(sent, FrameMessage.TYPE)], sent)
         except ProblemError as problem:
             problem.ref = _ref(sent)
             raise
@@ -145,13 +146,14 @@ def _kind(sent: dict[str, Any], frame: str) -> str:
 
 
 def _frame(sent: dict[str, Any]) -> ReceivedFrame:
-    seq = None
     try:
-        seq = check_seq(sent.get("seq"))
         message = read(FrameMessage, sent)
-        return ReceivedFrame(message.frame, Meta(message.seq, message.ts, message.region))
+        return ReceivedFrame(message.frame, message)
     except ProblemError as problem:
-        return ReceivedFrame(b"", Meta(seq), problem)
+        try:
+            return ReceivedFrame(b"", Meta(check_seq(sent.get("seq"))), problem)
+        except ProblemError as unnumbered:
+            return ReceivedFrame(b"", NO_META, unnumbered)
 
 
 def _ref(sent: dict[str, Any]) -> Echo | None:

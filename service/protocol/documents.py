@@ -58,7 +58,7 @@ def from_msgpack(data: bytes | memoryview) -> Any:
 
 def to_json(value: Any) -> str:
     """Return ``value`` as one line of JSON, with bytes as base64. Raises ValueError for NaN and infinity."""
-    return json.dumps(value, separators=(",", ":"), default=_base64, allow_nan=False)
+    return _encode(value)
 
 
 def to_msgpack(value: Any) -> bytes:
@@ -71,6 +71,10 @@ def _base64(value: object) -> str:
     if isinstance(value, bytes):
         return base64.b64encode(value).decode()
     raise TypeError(f"{type(value).__name__} is not of the protocol")
+
+
+# json.dumps would make an encoder for each message.
+_encode = json.JSONEncoder(separators=(",", ":"), default=_base64, allow_nan=False).encode
 
 
 def _refuse(*_: Any) -> NoReturn:

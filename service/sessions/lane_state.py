@@ -66,6 +66,7 @@ class LaneState:
         self._restore_slots = restore_slots
         self._key, self._owner, self._lanes, self._budget = key, owner, lanes, budget
         self._settings, self._metrics = settings, metrics
+        self._max_replay_bytes = settings.max_replay_bytes
         self._suspect: Operation | None = None
         self._outcome_unknown = False
         # At three quarters of the interval, so that the newest checkpoint on disk is never older than the interval.
@@ -78,7 +79,7 @@ class LaneState:
         """Why a checkpoint should be taken now; None if it should not."""
         if len(self.replay_log.operations) >= self._frames_until_checkpoint:
             return "frames"
-        if 2 * self.replay_log.bytes >= self._settings.max_replay_bytes:
+        if 2 * self.replay_log.bytes >= self._max_replay_bytes:
             return "bytes"
         return "budget" if self.replay_log.operations and self._budget.spent(self._owner) else None
 
@@ -94,9 +95,10 @@ class LaneState:
         restored, it is done again.
         """
         replay_log = self.replay_log
-        if changes and replay_log.operations and replay_log.bytes + operation.bytes > self._settings.max_replay_bytes:
+        if changes and replay_log.operations and replay_log.bytes + operation.bytes > self._max_replay_bytes:
             await self.checkpoint("bytes")
-        await self._roll_back_if_unknown()
+        if self._outcome_unknown:
+            await self._roll_back()
         # If this call is cancelled, it is unknown what it did; the next call rolls it back.
         self._outcome_unknown = changes
         code, value = await self._send(operation)
@@ -108,7 +110,8 @@ class LaneState:
     async def checkpoint(self, reason: str) -> None:
         """Replace the replay log by the state as it is now."""
         started = time.monotonic()
-        await self._roll_back_if_unknown()
+        if self._outcome_unknown:
+            await self._roll_back()
         code, value = await self._send(CHECKPOINT)
         if code is not None:
             log.error("fault in a lane", session=self._key, op="checkpoint", fault=value[0])
@@ -154,11 +157,10 @@ class LaneState:
                 if lost.cause == LaneLoss.RELEASED:
                     raise
 
-    async def _roll_back_if_unknown(self) -> None:
-        """Go back to before the last operation, if it is unknown what that has done."""
-        if self._outcome_unknown:
-            await self.recover(LaneLoss.FAULT)
-            self._outcome_unknown = False
+    async def _roll_back(self) -> None:
+        """Go back to before the last operation, because it is unknown what that has done."""
+        await self.recover(LaneLoss.FAULT)
+        self._outcome_unknown = False
 
     async def _replay(self) -> None:
         checkpoint = self.replay_log.checkpoint

@@ -103,16 +103,18 @@ class RateLimiter:
             raise _rate_limited("frames", wait_s)
         if wait_s := buckets.bytes.wait_s(now):
             raise _rate_limited("bytes", wait_s)
-        wait_s = max(
-            self._all_frames.wait_s(now, RESERVE * buckets.frames.spent),
-            self._all_bytes.wait_s(now, RESERVE * buckets.bytes.spent),
-        )
-        if wait_s:
-            detail = "the service receives more frames than it can take"
-            raise ProblemError(ProblemCode.AT_CAPACITY, detail, retry_after_s=_retry_after_s(wait_s))
+        if self._all_frames.wait_s(now, RESERVE) or self._all_bytes.wait_s(now, RESERVE):  # seldom: it runs short
+            wait_s = max(
+                self._all_frames.wait_s(now, RESERVE * buckets.frames.spent),
+                self._all_bytes.wait_s(now, RESERVE * buckets.bytes.spent),
+            )
+            if wait_s:
+                detail = "the service receives more frames than it can take"
+                raise ProblemError(ProblemCode.AT_CAPACITY, detail, retry_after_s=_retry_after_s(wait_s))
         buckets.frames.spend(1)
+        buckets.bytes.spend(size)
         self._all_frames.spend(1)
-        self.count_bytes(owner, size)
+        self._all_bytes.spend(size)
 
     def count_bytes(self, owner: str, size: int) -> None:
         """Count ``size`` bytes of a frame that has been counted already."""

@@ -75,9 +75,10 @@ class ReplayLog:
         if self.checkpoint is None:
             self.reset_to(operation)
             return
+        size = operation.bytes
         self.operations.append(operation)
-        self.bytes += operation.bytes
-        self._budget.change(self._owner, frames=operation.bytes)
+        self.bytes += size
+        self._budget.change(self._owner, frames=size)
 
     def reset_to(self, checkpoint: Operation) -> None:
         """Replace the whole log by ``checkpoint``, which makes the session as it is now."""

@@ -165,7 +165,7 @@ class Session:
                 track_ms=round(track_s * 1e3, 3),
             ),
         )
-        answers = [refused and _refusal(*refused) for refused in state["answers"]]
+        answers = [refused and _refusal(*refused) for refused in state["answers"]] if controls else []
         return result, answers, stages
 
     async def control(self, control: Mapping[str, Any]) -> tuple[dict[str, Any] | None, list[int] | None]:

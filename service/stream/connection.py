@@ -56,6 +56,8 @@ class StreamConnection:
     ----------
     receive, send
         Those of ASGI.
+    write
+        Sends an encoded message at once, or returns False if ``send`` has to be awaited for it.
     abort
         Cuts the connection.
     request_id
@@ -75,6 +77,7 @@ class StreamConnection:
         metrics: Metrics,
         receive: Callable[[], Awaitable[Event]],
         send: Callable[[Event], Awaitable[None]],
+        write: Callable[[str | bytes], bool],
         abort: Callable[[], None],
         request_id: str,
         span: Span | None,
@@ -85,7 +88,7 @@ class StreamConnection:
         self._receive, self._abort = receive, abort
         self._read_message = codec.reader(settings.max_body_bytes)
         self._max_frame_bytes = settings.max_frame_bytes
-        self._sender = Sender(codec, send, settings.send_timeout_s)
+        self._sender = Sender(codec, send, write, settings.send_timeout_s)
         self._replies = Replies(session, metrics, request_id)
         self._limits = MessageLimits(session, rate_limiter, settings.max_refused_messages, self._end_for_rate)
         self._pump = Pump(session, queue, self._sender, self._replies, metrics, span, self._end_if_finished)
@@ -99,7 +102,8 @@ class StreamConnection:
             await self._sender.send(ready)
             if not self._sender.closed:
                 self._pump_task = asyncio.create_task(self._run_pump())
-            await self._read()
+            # In a task of its own: each message would wake the coroutines of fifteen layers of the application.
+            await asyncio.create_task(self._read())
         except Exception:
             log.exception("fault in a stream", session=self._session.id)
             await self._sender.close(CloseCode.INTERNAL, ProblemCode.INTERNAL)

@@ -47,7 +47,7 @@ class FrameQueue:
         self._jobs: deque[Job] = deque()
         self._controls = 0
         self._for_next: list[Control] = []
-        self._wake = asyncio.Event()
+        self._wake: asyncio.Future[None] | None = None
 
     @property
     def empty(self) -> bool:
@@ -79,8 +79,7 @@ class FrameQueue:
                 self._on_superseded()
             else:
                 self._share.grow(len(frame.data))
-        self._jobs.append(Job(frame, controls))
-        self._wake.set()
+        self._put(Job(frame, controls))
 
     def put_control(self, control: Control) -> None:
         """Queue a control. Raises rate-limited when too many wait."""
@@ -90,14 +89,13 @@ class FrameQueue:
         if control.on == "next":
             self._for_next.append(control)
         else:
-            self._jobs.append(Job(None, [control]))
-            self._wake.set()
+            self._put(Job(None, [control]))
 
     async def next(self) -> Job:
         """Wait for the next job and return it."""
         while not self._jobs:
-            self._wake.clear()
-            await self._wake.wait()
+            self._wake = asyncio.get_running_loop().create_future()
+            await self._wake
         return self._jobs.popleft()
 
     def answered(self, job: Job) -> None:
@@ -116,6 +114,11 @@ class FrameQueue:
         """Return the number of frames superseded since the last call."""
         dropped, self.dropped = self.dropped, 0
         return dropped
+
+    def _put(self, job: Job) -> None:
+        self._jobs.append(job)
+        if self._wake is not None and not self._wake.done():
+            self._wake.set_result(None)
 
     def discard(self) -> None:
         """Forget all that waits."""

@@ -75,7 +75,7 @@ class Pump:
                 control = job.controls[0]
                 await session.control(command(control))
                 return [replies.targets(control)], None
-            commands = [command(control) for control in job.controls]
+            commands = [command(control) for control in job.controls] if job.controls else None
             result, refusals, stages = await session.track(job.frame, controls=commands)
         except ProblemError as problem:
             return replies.errors(problem, job.frame.seq if job.frame else None, job.controls), None

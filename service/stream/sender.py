@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import time
 from collections.abc import Awaitable, Callable, Coroutine, MutableMapping
+from contextlib import suppress
 from typing import Any
 
 from ..protocol.codecs import Codec
@@ -24,13 +24,21 @@ class Sender:
         The stream's subprotocol.
     send
         The ASGI ``send`` of the connection.
+    write
+        Sends an encoded message at once, or returns False; then ``send`` has to be awaited.
     send_timeout_s
         A client that takes nothing for this long counts as stuck.
     """
 
-    def __init__(self, codec: Codec, send: Callable[[Event], Awaitable[None]], send_timeout_s: float) -> None:
+    def __init__(
+        self,
+        codec: Codec,
+        send: Callable[[Event], Awaitable[None]],
+        write: Callable[[str | bytes], bool],
+        send_timeout_s: float,
+    ) -> None:
         self.closed = False
-        self._codec, self._send, self._timeout_s = codec, send, send_timeout_s
+        self._encode, self._send, self._write, self._timeout_s = codec.encode, send, write, send_timeout_s
         self._unsent = 0
         self._unsent_since = 0.0
         self._tasks: set[asyncio.Task[None]] = set()
@@ -38,7 +46,9 @@ class Sender:
     async def send(self, message: dict[str, Any]) -> None:
         """Send a message, unless the sender is closed."""
         if not self.closed:
-            await self._event(websocket_send(self._codec.encode(message)))
+            encoded = self._encode(message)
+            if self._unsent or not self._write(encoded):
+                await self._event(websocket_send(encoded))
 
     async def close(self, code: int, reason: str) -> None:
         """Send the close frame; messages that are sent later are dropped."""
@@ -61,7 +71,7 @@ class Sender:
             self._unsent_since = time.monotonic()
         self._unsent += 1
         # The server raises OSError once the client is gone; the reader notices it too.
-        with contextlib.suppress(OSError, RuntimeError):
+        with suppress(OSError, RuntimeError):
             await self._send(event)
         self._unsent -= 1
         self._unsent_since = time.monotonic()

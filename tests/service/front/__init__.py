@@ -1,0 +1,1 @@
+"""Tests of the front alone, whose lanes are canned."""
