@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 from mfcmt_core.interpolate import join
+from mfcmt_core.otb.metrics import success_curve
 
 from .conftest import Open, loop
 from .driver import Tracker
 from .films import BOX, even, film, times_of
-from .test_track import BALLOON, GREEN
+from .test_access import violations
+from .test_track import BALLOON, GREEN, iou
 
 pytestmark = loop
 COUNT = 60
@@ -189,6 +191,41 @@ async def test_an_exported_run_is_imported_and_compared(open_page: Open, tmp_pat
         await user.page.set_input_files("#import-file", tmp_path / "wrong.json")
         await user.until("document.getElementById('notice').innerText.includes('cannot be imported')")
         assert await user.page.locator("#runs li").count() == 2
+
+
+async def test_a_run_is_compared_with_a_truth_file_over_each_other_and_side_by_side(
+    open_page: Open, tmp_path: Path, artefacts: Path
+) -> None:
+    """The success curve is that of `mfcmt eval`; the truth leaves one frame out, as OTB does."""
+    x, y, w, h = BOX
+    truth = [(x + frame % 120, y, w, h) for frame in range(COUNT)]
+    lines = [f"{left + 1},{top + 1},{w},{h}" for left, top, w, h in truth]
+    lines[7] = "NaN,NaN,NaN,NaN"
+    (tmp_path / "truth.txt").write_text("\n".join(lines))
+    async with open_page() as user:
+        await begun(user, tmp_path)
+        await user.end()
+        ours = await of(user, 1)
+        await user.page.set_input_files("#import-file", tmp_path / "truth.txt")
+        await user.until("document.querySelectorAll('#runs li').length === 2")
+        assert "2 truth.txt" in await user.page.inner_text("#runs")
+        await user.page.click("#runs li[data-run='1'] [data-part=compare]")
+        known = [frame for frame in range(COUNT) if frame != 7]
+        overlaps = np.array([iou(ours[frame], truth[frame]) for frame in known])
+        says = (
+            f"success {success_curve(overlaps).mean():.3f} (area under the curve), mean overlap {overlaps.mean():.3f}"
+        )
+        await user.until(f"document.getElementById('success-text').innerText === '{says}'")
+        assert not await user.page.is_visible("#beside")
+        await user.page.click("#apart")
+        await user.until("!document.getElementById('beside').hidden")
+        places = "['stage', 'beside'].map((id) => document.getElementById(id).getBoundingClientRect().width)"
+        stage, beside = await user.page.evaluate(places)
+        assert stage == pytest.approx(beside, rel=0.02)
+        await user.page.screenshot(path=artefacts / "side-by-side.png")
+        assert await violations(user) == []
+        await user.page.click("#apart")
+        await user.until("document.getElementById('beside').hidden")
 
 
 async def test_a_video_is_rendered_from_the_results(open_page: Open, tmp_path: Path) -> None:

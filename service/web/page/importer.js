@@ -1,4 +1,4 @@
-// Reads a run back: our own JSON, or the boxes of a MOT file.
+// Reads a run back: our own JSON, or the boxes of a MOT or OTB file, such as a ground truth.
 
 import { FORM } from "./exports/json.js";
 import { SourceError } from "./sources/source.js";
@@ -8,12 +8,13 @@ export async function read(file, run, source) {
   const text = await file.text();
   try {
     if (/^\s*\{/.test(text)) ownForm(JSON.parse(text), run, source);
-    else mot(text, run, source);
+    else lines(text, run, source);
   } catch (error) {
     throw error instanceof SourceError ? error : new SourceError("import-unreadable", error);
   }
   if (!run.records.length) throw new SourceError("import-unreadable");
   run.saved = true;
+  run.title = file.name;
 }
 
 function ownForm({ form, targets, keyframes, frames }, run, source) {
@@ -30,11 +31,16 @@ function ownForm({ form, targets, keyframes, frames }, run, source) {
   for (const { time_s: time, target, box } of keyframes) run.mark(known.get(time) ?? time, target, shares(box, source.size));
 }
 
-/** Lines `frame,id,x,y,w,h,conf,…`, counted from 1. */
-function mot(text, run, source) {
+/**
+ * Lines `frame,id,x,y,w,h,conf,…` of MOT, or `x,y,w,h` of OTB, one for each frame; both count from 1. OTB has `NaN` or a
+ * box without a size where the target is not in the picture.
+ */
+function lines(text, run, source) {
   const { size, count, fps } = source;
-  for (const line of text.split(/\r?\n/).filter((one) => one.trim())) {
-    const [frame, id, x, y, w, h, confidence] = line.split(/[,\s]+/).map(Number);
+  const all = text.split(/\r?\n/).map((line) => line.trim()).filter(Boolean).map((line) => line.split(/[,\s]+/).map(Number));
+  const otb = all.every(({ length }) => length === 4);
+  const known = otb ? all.map((box, i) => [i + 1, 1, ...box]).filter(([, , ...box]) => !box.some(Number.isNaN) && box[2] > 0 && box[3] > 0) : all;
+  for (const [frame, id, x, y, w, h, confidence] of known) {
     if (![frame, id, x, y, w, h].every(Number.isFinite) || frame < 1 || id < 0 || (count !== null && frame > count)) throw new SourceError("import-unreadable");
     if (!run.targets.has(id)) run.add({ id });
     const time = exact(source, frame - 1, (frame - 1) / fps);

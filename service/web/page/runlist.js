@@ -22,13 +22,15 @@ export class RunList {
     this.#drawn = key;
     const focused = document.activeElement?.closest?.("#runs li")?.dataset.run;
     const part = document.activeElement?.dataset?.part;
-    byId("runs").replaceChildren(...rows.map((one) => this.#row(one, shown)));
+    const found = shown && other ? agreement(shown, other) : null;
+    this.#app.view.comparison.tell(found);
+    byId("runs").replaceChildren(...rows.map((one) => this.#row(one, shown, found)));
     if (focused && part) byId("runs").querySelector(`li[data-run="${focused}"] [data-part="${part}"]`)?.focus();
   }
 
-  #row({ run, number, text, compared }, shown) {
-    const says = compared && shown ? `${text}; ${told(agreement(shown, run))}` : text;
-    const pick = el("button", { className: "pick", data: { part: "pick" } }, el("b", { textContent: `${number} ${run.source.name}` }), el("small", { textContent: says }));
+  #row({ run, number, text, compared }, shown, found) {
+    const says = compared && found ? `${text}; ${told(found)}` : text;
+    const pick = el("button", { className: "pick", data: { part: "pick" } }, el("b", { textContent: `${number} ${run.title ?? run.source.name}` }), el("small", { textContent: says }));
     pick.setAttribute("aria-pressed", run === shown);
     pick.addEventListener("click", () => this.#app.edits.show(run));
     const remove = el("button", { className: "icon", title: "Remove the run; undo brings it back", data: { part: "remove" } }, icon("remove"));
@@ -43,7 +45,7 @@ export class RunList {
   }
 }
 
-const told = ({ frames, iou, success }) => (frames ? `overlap ${iou.toFixed(2)}, above half in ${Math.round(100 * success)} % of ${frames} boxes` : "no frame in common");
+const told = ({ count, iou, half }) => (count ? `overlap ${iou.toFixed(2)}, above half in ${Math.round(100 * half)} % of ${count} boxes` : "no frame in common");
 
 /** Say how much of its source a run covers. */
 export function summary({ records, source, targets, saved }) {

@@ -14,6 +14,8 @@ const NEAR_PX = { mouse: 7, touch: 18 };
  */
 export class Stage {
   scene = { targets: [], chosen: null, other: [], draft: null, suggestion: null };
+  /** Called after each repaint. */
+  onpainted = () => {};
   armed = false;
   /** Whether the next drag draws a new box wherever it begins. */
   free = false;
@@ -74,6 +76,7 @@ export class Stage {
       Object.assign(this.picture.style, { left: `${rect.x}px`, top: `${rect.y}px`, width: `${rect.w}px`, height: `${rect.h}px` });
       context.clearRect(0, 0, width, height);
       paint(context, rect, { ...this.scene, handles: this.armed && !this.scene.draft });
+      this.onpainted();
     });
   }
 

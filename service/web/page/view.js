@@ -1,5 +1,6 @@
 // Draws a run: boxes on the stage, lists, strips, maps, timeline and figures.
 
+import { Comparison } from "./comparison.js";
 import { Maps } from "./maps.js";
 import { Figures, TargetList } from "./panels.js";
 import { RunList } from "./runlist.js";
@@ -30,6 +31,8 @@ export class View {
       onremove: (id) => app.edits.remove(id),
       onname: (id) => app.onname(id),
     });
+    this.comparison = new Comparison(() => this.draw(true));
+    app.stage.onpainted = () => this.comparison.draw(app.stage, this.other && this.targetsAt(this.other, app.shown.time));
     this.runs = new RunList(app);
     this.timeline = new Timeline(app);
     setInterval(() => this.#draw(), FIGURES_MS);
@@ -58,7 +61,8 @@ export class View {
     if (!run?.targets.has(this.chosen)) this.chosen = run?.targets.keys().next().value ?? null;
     root.dataset.frames = run?.records.length ?? 0;
     if (!run || this.other === run || this.other?.opening !== run.opening) this.other = null;
-    Object.assign(scene, { targets, chosen: this.chosen, other: this.targetsAt(this.other, this.#app.shown.time) });
+    const other = this.comparison.apart ? [] : this.targetsAt(this.other, this.#app.shown.time);
+    Object.assign(scene, { targets, chosen: this.chosen, other });
     stage.draw();
     recorder.take(stage.picture, scene);
     const wait = this.#panelsAt + PANELS_MS - performance.now();
