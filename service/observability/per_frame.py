@@ -1,7 +1,7 @@
 """A counter and a histogram that are cheap to count with, for what is counted of every frame.
 
-Those of prometheus_client take a lock for each count, and look up labels under another: for one frame that would be
-20 µs. These are counted by one thread alone, the event loop's.
+Those of prometheus_client take a lock for each count, and look up labels under another: 9 µs for one frame, and these
+take 3. They are counted by one thread alone, the event loop's.
 """
 
 from __future__ import annotations
