@@ -96,7 +96,7 @@ async def test_numbers_stay_those_of_the_video_after_corrections(open_page: Open
 
 
 async def test_steps_go_on_and_back_by_one_frame_of_an_uneven_film(open_page: Open, tmp_path: Path) -> None:
-    film(tmp_path / "uneven.mp4", uneven(30))
+    times = film(tmp_path / "uneven.mp4", uneven(30))
     async with open_page() as user:
         await user.open_file(tmp_path / "uneven.mp4")
         seen = []
@@ -106,7 +106,21 @@ async def test_steps_go_on_and_back_by_one_frame_of_an_uneven_film(open_page: Op
             image = cv2.imdecode(np.frombuffer(await user.pixels(), np.uint8), cv2.IMREAD_COLOR)
             assert image is not None
             seen.append(number_of(image))
-    assert seen == [1, 2, 3, 4, 5, 4, 3, 2]
+        assert seen == [1, 2, 3, 4, 5, 4, 3, 2]
+        # by a second, and not beyond either end
+        for key, frame in (("l", at(times, times[2] + 1)), ("j", 2), ("j", 0)):
+            await user.page.keyboard.press(key)
+            place = f"frame {frame + 1} of 30"
+            await user.until(f"document.getElementById('seek').getAttribute('aria-valuetext').endsWith('{place}')")
+        await user.page.keyboard.press("k")
+        await user.until("document.getElementById('play').getAttribute('aria-label') === 'Pause'")
+        await user.page.keyboard.press("k")
+        await user.until("document.getElementById('play').getAttribute('aria-label') === 'Play'")
+
+
+def at(times: list[float], time: float) -> int:
+    """Which frame is shown at a time."""
+    return max(i for i, one in enumerate(times) if one <= time + 1e-6)
 
 
 async def test_the_export_says_what_was_left_out_and_offers_the_rest(open_page: Open, tmp_path: Path) -> None:
@@ -157,20 +171,26 @@ async def test_a_recording_can_be_opened_again(open_page: Open, tmp_path: Path) 
         assert len(numbers) > 10
 
 
-async def test_images_and_zip_files_are_sources(open_page: Open, tmp_path: Path) -> None:
+async def test_images_folders_and_zip_files_are_sources(open_page: Open, tmp_path: Path) -> None:
     import zipfile
 
     from .films import picture
 
-    paths = [tmp_path / f"{number}.png" for number in range(12)]  # 10 comes after 9
+    folder = tmp_path / "images"
+    folder.mkdir()
+    paths = [folder / f"{number}.png" for number in range(12)]  # 10 comes after 9
     for number, path in enumerate(paths):
         cv2.imwrite(str(path), picture(number)[:, :, ::-1])
     with zipfile.ZipFile(tmp_path / "images.zip", "w", zipfile.ZIP_DEFLATED) as packed:
         for path in paths:
             packed.write(path, f"folder/{path.name}")
     async with open_page() as user:
-        for chosen in (paths, [tmp_path / "images.zip"]):
-            await user.open_file(*chosen)
+        for chosen in (paths, [tmp_path / "images.zip"], folder):
+            if isinstance(chosen, Path):
+                await user.page.set_input_files("#folder", chosen)
+                await user.until("document.documentElement.dataset.state === 'open'")
+            else:
+                await user.open_file(*chosen)
             await user.draw(BOX)
             await user.end(PATIENCE_S)
             exported = await user.boxes()

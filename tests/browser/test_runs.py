@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
+import re
+import shutil
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from mfcmt_core.interpolate import join
 from mfcmt_core.otb.metrics import success_curve
+from tests.conftest import require
 
 from .conftest import Open, loop
 from .driver import Tracker
-from .films import BOX, even, film, times_of
+from .films import BOX, even, film, picture, times_of
 from .test_access import violations
 from .test_track import BALLOON, GREEN, iou
 
@@ -241,7 +247,7 @@ async def test_a_video_is_rendered_from_the_results(open_page: Open, tmp_path: P
         assert times_of(made) == pytest.approx(even(COUNT, 25), abs=2e-3)
 
 
-async def test_the_code_is_that_of_the_run(open_page: Open, tmp_path: Path) -> None:
+async def test_the_code_is_that_of_the_run_and_runs(open_page: Open, tmp_path: Path) -> None:
     async with open_page() as user:
         await begun(user, tmp_path)
         await user.frames(3)
@@ -249,10 +255,54 @@ async def test_the_code_is_that_of_the_run(open_page: Open, tmp_path: Path) -> N
         await user.page.click("#open-export")
         await user.page.click("#open-code")
         kinds = {"curl": "-F boxes='[[", "python": '"film.mp4"', "javascript": "createSession", "result": '"status"'}
+        code = {}
         for kind, says in kinds.items():
             await user.page.select_option("#code-kind", kind)
-            assert says in await user.page.input_value("#code")
+            code[kind] = await user.page.input_value("#code")
+            assert says in code[kind]
         await user.page.click("#code-dialog .primary")
+        await runs_in_the_page(user, code["javascript"], tmp_path)
+    await runs_in_a_shell(code["curl"], tmp_path)
+    await runs_in_python(code["python"], tmp_path)
+
+
+async def runs_in_the_page(user: Tracker, code: str, folder: Path) -> None:
+    """As a module of the page: it follows the film beside it."""
+    said: list[str] = []
+    user.page.on("console", lambda message: said.append(message.text))
+    await user.page.route("**/code.js", lambda route: route.fulfill(body=code, content_type="text/javascript"))
+    await user.page.route("**/film.mp4", lambda route: route.fulfill(path=folder / "film.mp4"))
+    script = "Object.assign(document.createElement('script'), {type: 'module', src: './code.js'})"
+    await user.page.evaluate(f"document.head.append({script})")
+    async with asyncio.timeout(60):
+        while len(said) < 3:
+            await user.page.wait_for_event("console")
+
+
+async def runs_in_a_shell(code: str, folder: Path) -> None:
+    """With the two frames that it names; it ends with the lines of both in the trajectory."""
+    require(shutil.which("curl"), "no curl is installed")
+    for number, name in enumerate(("frame.jpg", "next.jpg")):
+        cv2.imwrite(str(folder / name), picture(number)[:, :, ::-1])
+    said = await output("bash", "-e", "-c", code, cwd=folder)
+    *_, first, second = (line for line in said.splitlines() if re.match(r"\d+,", line))
+    assert (first.split(",")[0], second.split(",")[0]) == ("0", "1")
+
+
+async def runs_in_python(code: str, folder: Path) -> None:
+    """Beside the film: a line for each frame after the first."""
+    (folder / "code.py").write_text(code)
+    said = await output(sys.executable, "code.py", cwd=folder)
+    assert [int(line.split()[0]) for line in said.splitlines()] == list(range(1, COUNT))
+
+
+async def output(*command: str, cwd: Path) -> str:
+    """What a program prints that must succeed."""
+    pipe = asyncio.subprocess.PIPE
+    process = await asyncio.create_subprocess_exec(*command, stdout=pipe, stderr=pipe, cwd=cwd)
+    said, complained = await process.communicate()
+    assert process.returncode == 0, complained.decode()
+    return said.decode()
 
 
 async def test_a_link_opens_a_source_with_its_box(open_page: Open) -> None:

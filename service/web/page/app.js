@@ -104,6 +104,7 @@ export class App {
       if (source.live) this.trouble.tell({ code: `${source.kind}-ended` }, { again: () => this.open(opening) });
     };
     this.stage.scene.suggestion = source.suggestion;
+    this.stage.mirror = Boolean(source.mirrored);
     this.to("open");
     this.#preview();
     this.stage.focus();

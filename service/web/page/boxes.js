@@ -16,6 +16,9 @@ export const HANDLES = [
   { x: 1, y: 0.5, cursor: "ew-resize" },
 ];
 
+/** Return `box` as it is seen in a mirror. */
+export const mirrored = ([x, y, w, h]) => [1 - x - w, y, w, h];
+
 export const between = ([ax, ay], [bx, by]) => [Math.min(ax, bx), Math.min(ay, by), Math.abs(ax - bx), Math.abs(ay - by)];
 
 /** Return `box` moved by `[dx, dy]`, inside the frame. */

@@ -70,7 +70,12 @@ stage.addEventListener("drop", (event) => {
   if (chosen.length) files(chosen);
 });
 
+const JUMP_S = 1;
+
 const KEYS = {
+  j: () => jump(-JUMP_S),
+  k: playOrPause,
+  l: () => jump(JUMP_S),
   ".": () => app.step(),
   ",": () => app.back(),
   a: () => intend("add"),
@@ -131,6 +136,12 @@ async function follow() {
 function playOrPause() {
   if (app.player.playing) app.player.pause();
   else app.play();
+}
+
+/** Move a file by a number of seconds. */
+function jump(seconds) {
+  const { source, shown } = app;
+  if (source && !source.live) app.move((one) => one.seek(Math.min(Math.max(0, shown.time + seconds), source.duration)));
 }
 
 function intend(what) {

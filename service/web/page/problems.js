@@ -17,7 +17,7 @@ const WORDS = {
   "image-unreadable": ["An image cannot be read", "It is damaged, or no image."],
   "zip-unreadable": ["This zip file cannot be read", "It is damaged, encrypted, or of a kind that the page does not know."],
   "zip-too-large": ["This zip file is too large for the page", "Unpack it, and choose the folder."],
-  "import-unreadable": ["This file cannot be imported", "It must be a run that this page exported as JSON, or MOT lines (frame,id,x,y,w,h,…), of the video that is open."],
+  "import-unreadable": ["This file cannot be imported", "It must be a run that this page exported as JSON, or lines of MOT (frame,id,x,y,w,h,…) or OTB (x,y,w,h), of the video that is open."],
   "no-encoder": ["This browser cannot make a video", "Browsers encode on pages of https and localhost only. Record shows the same, in real time."],
   "address-unreachable": ["The address cannot be opened", "The page may load only from its own server. Save the file, and choose it here."],
   "sample-missing": ["The sample clip could not be loaded", "The server did not answer. Is it still running?", "again"],

@@ -1,6 +1,6 @@
 // The picture, what is drawn over it, and the drawing and changing of boxes by mouse, finger or keyboard.
 
-import { HANDLES, between, moved, nudged, resized } from "./boxes.js";
+import { HANDLES, between, mirrored, moved, nudged, resized } from "./boxes.js";
 import { crisp } from "./dom.js";
 import { paint, place } from "./overlay.js";
 import { Zoom } from "./zoom.js";
@@ -14,6 +14,8 @@ const NEAR_PX = { mouse: 7, touch: 18 };
  */
 export class Stage {
   scene = { targets: [], chosen: null, other: [], draft: null, suggestion: null };
+  /** Whether the picture is shown as in a mirror, as people know themselves; boxes are of the true picture all the same. */
+  mirror = false;
   /** Called after each repaint. */
   onpainted = () => {};
   armed = false;
@@ -74,8 +76,9 @@ export class Stage {
       const { context, width, height } = crisp(this.overlay);
       const rect = this.rect();
       Object.assign(this.picture.style, { left: `${rect.x}px`, top: `${rect.y}px`, width: `${rect.w}px`, height: `${rect.h}px` });
+      this.picture.style.transform = this.mirror ? "scaleX(-1)" : "";
       context.clearRect(0, 0, width, height);
-      paint(context, rect, { ...this.scene, handles: this.armed && !this.scene.draft });
+      paint(context, rect, { ...(this.mirror ? inMirror(this.scene) : this.scene), handles: this.armed && !this.scene.draft });
       this.onpainted();
     });
   }
@@ -117,7 +120,8 @@ export class Stage {
   #point({ clientX, clientY }) {
     const bounds = this.root.getBoundingClientRect();
     const rect = this.rect();
-    const [x, y] = [(clientX - bounds.left - this.root.clientLeft - rect.x) / rect.w, (clientY - bounds.top - this.root.clientTop - rect.y) / rect.h];
+    const [left, y] = [(clientX - bounds.left - this.root.clientLeft - rect.x) / rect.w, (clientY - bounds.top - this.root.clientTop - rect.y) / rect.h];
+    const x = this.mirror ? 1 - left : left;
     const inside = x >= 0 && x <= 1 && y >= 0 && y <= 1;
     return { point: [Math.min(Math.max(x, 0), 1), Math.min(Math.max(y, 0), 1)], inside };
   }
@@ -187,7 +191,8 @@ export class Stage {
     } else if (event.key === "Escape" && draft) {
       this.cancel();
     } else if (this.byKeys && event.key.startsWith("Arrow")) {
-      this.scene.draft = nudged(draft, event, 1 / this.picture.width);
+      const turned = this.mirror ? mirrored : (box) => box;
+      this.scene.draft = turned(nudged(turned(draft), event, 1 / this.picture.width));
       this.draw();
     } else {
       return;
@@ -195,6 +200,13 @@ export class Stage {
     event.preventDefault();
     event.stopPropagation();
   }
+}
+
+/** A scene as it is seen in a mirror. */
+function inMirror(scene) {
+  const one = (target) => ({ ...target, box: mirrored(target.box), trail: target.trail.map(([x, y]) => [1 - x, y]) });
+  const { targets, other, draft, suggestion } = scene;
+  return { ...scene, targets: targets.map(one), other: other.map(one), draft: draft && mirrored(draft), suggestion: suggestion && mirrored(suggestion) };
 }
 
 /** How the box follows the pointer that was pressed at `from`. */

@@ -6,6 +6,8 @@ const PRESENT_MS = 3000;
 
 class LiveSource extends ElementSource {
   live = true;
+  /** Whether it shows the one who holds it, who expects a mirror. */
+  mirrored = false;
   duration = Infinity;
 
   /** The next frame is the next one that comes. */
@@ -65,6 +67,7 @@ async function opened(stream, kind, name) {
   await loaded(video, kind === "screen" ? "screen-refused" : "camera-failed");
   const [track] = stream.getVideoTracks();
   const source = new LiveSource(video, { name: track.label || name, kind });
+  source.mirrored = track.getSettings().facingMode === "user";
   track.addEventListener("ended", () => source.onend());
   await video.play();
   return source;
