@@ -10,6 +10,7 @@ VIDEO := $(VENV)/.video
 NPM := $(addsuffix /node_modules/.package-lock.json,tests/service/generated tests/service/jsclient tests/service/jsclient/apps)
 PEERS := .venv-peers/.installed
 BRIDGES := .venv-bridges/.installed
+CLUSTERS := .venv-clusters/.installed
 DATA ?= $(or $(MFCMT_OTB_ROOT),../shared/data/otb)
 PUBLISHED ?= $(wildcard $(dir $(DATA:/=))published)
 PROTOCOL ?= ope,tre,sre
@@ -19,7 +20,7 @@ BYTECODE := $(if $(PYTHONDONTWRITEBYTECODE),env -u PYTHONDONTWRITEBYTECODE PYTHO
 PYTEST := $(BYTECODE) $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 LOCK := uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q -U
 
-.PHONY: help setup warmup serve demo npm test test-fast test-docker fresh lint lock bench peers bridges bench-peers eval reproduce guide clean
+.PHONY: help setup warmup serve demo npm test test-fast test-docker fresh lint lock bench peers bridges clusters bench-peers eval reproduce guide clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -91,6 +92,13 @@ $(BRIDGES): .ci/bridges.lock pyproject.toml
 
 bridges: $(BRIDGES)  ## an environment of its own with the real clients and servers of docs/integrations.md, for tests
 
+$(CLUSTERS): .ci/clusters.lock pyproject.toml
+	@sh .ci/venv "$(PYTHON)" .venv-clusters
+	@.venv-clusters/bin/python .ci/install.py .ci/clusters.lock
+	@touch $@
+
+clusters: $(CLUSTERS)  ## an environment of its own with Ray and Dask, for the tests of `mfcmt track --backend`
+
 bench-peers: $(PEERS)  ## OpenCV's and dlib's trackers on the same frames in the same run
 	.venv-peers/bin/mfcmt warmup
 	.venv-peers/bin/mfcmt bench --peers
@@ -107,13 +115,14 @@ guide: $(DEVELOPMENT)  ## write the tables of docs, and the types of mfcmt.d.ts,
 	$(BIN)/python -m tests.docs.protocol
 
 lock:  ## refresh the lock files (needs uv)
-	$(LOCK) pyproject.toml --all-extras -o requirements-dev.lock
+	$(LOCK) pyproject.toml --extra dev -o requirements-dev.lock
 	$(LOCK) pyproject.toml --extra service --extra otel --extra cluster --group editable -c requirements-dev.lock -o requirements.lock
 	$(LOCK) pyproject.toml docker/build.in --extra service --extra otel --extra cluster -c requirements-dev.lock -o docker/requirements.lock
 	$(LOCK) .ci/video.in -c requirements-dev.lock -o .ci/video.lock
 	$(LOCK) .ci/peers.in -o .ci/peers.lock
 	$(LOCK) .ci/bridges.in -o .ci/bridges.lock
+	$(LOCK) pyproject.toml --extra ray --extra dask --extra video --group editable -c requirements-dev.lock -o .ci/clusters.lock
 
 clean:  ## remove what the targets made
-	rm -rf $(VENV) .venv-peers .venv-bridges .mypy_cache .pytest_cache .ruff_cache .hypothesis results
+	rm -rf $(VENV) .venv-peers .venv-bridges .venv-clusters .mypy_cache .pytest_cache .ruff_cache .hypothesis results
 	find mfcmt_core service tests -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -39,6 +39,7 @@ SLOW = (
     *BROWSER,
     *CHAOS,
     "bridges",
+    "clusters",
     "core/otb/test_between.py",
     "core/otb/test_command.py",
     "core/otb/test_published.py",

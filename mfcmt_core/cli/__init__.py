@@ -37,6 +37,21 @@ def has_screen() -> bool:
     return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
+def add_batch(parser: argparse.ArgumentParser, of: str = "") -> None:
+    """Add the arguments of a command that runs jobs by :func:`~mfcmt_core.otb.batch.run_batch`."""
+    from ..otb.batch import BACKENDS, LOCAL
+
+    parser.add_argument("--jobs", type=_count, metavar="N", help=f"{of}number of processes (default: one per CPU)")
+    where = "where they run: here, or on a Ray or Dask cluster whose machines have mfcmt and the same files"
+    parser.add_argument("--backend", choices=BACKENDS, default=LOCAL, help=f"{of}{where} (default: {LOCAL})")
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError("is a number from 1 on")
+    return int(text)
+
+
 @dataclass(frozen=True, slots=True)
 class Subcommand:
     """A subcommand: a line for the help, and a function that loads its module when it runs."""

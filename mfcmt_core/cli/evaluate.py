@@ -15,6 +15,7 @@ import cv2
 
 from ..errors import DataError, NoData
 from ..otb import film
+from ..otb.batch import LOCAL
 from ..otb.between import between_keyframes, between_table
 from ..otb.catalogue import resolve
 from ..otb.dataset import Dataset
@@ -29,7 +30,7 @@ from ..otb.score import Evaluation
 from ..otb.tables import summary
 from ..otb.trackers import Engine, Entry, ResultFolder
 from ..otb.trust_tables import absences, ranking, statuses, trust_blocks
-from . import UsageError
+from . import UsageError, add_batch
 from .progress import Progress
 from .variables import misspelt_variables
 
@@ -95,7 +96,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="measure what lies between known boxes in every Nth frame (30,60,120) against lines between them and "
         "against tracking forward alone",
     )
-    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="number of processes (default: one per CPU)")
+    add_batch(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -144,9 +145,10 @@ def _fit(args: argparse.Namespace) -> int:
     datasets = [_open(folder, args) for folder in args.fit_confidence]
     recorded = []
     with _Bar("fit") as bar:
-        for done in record_all(datasets, trackers[0].config, args.jobs):
+        for done in record_all(datasets, trackers[0].config, args.jobs, args.backend):
             recorded.append(done)
             bar(len(recorded), sum(map(len, datasets)))
+    recorded.sort(key=lambda r: (r.source, r.name))
     sources = sorted({r.source for r in recorded})
     frames = sum(len(r.overlap) for r in recorded)
     title = f"{len(recorded)} sequences of {', '.join(sources)}; {frames} frames, each scored without its data set"
@@ -172,7 +174,7 @@ def _keyframes(args: argparse.Namespace) -> int:
         raise UsageError("--keyframes measures one preset or configuration: name it with --trackers")
     dataset = _dataset(args)
     with _Bar("keyframes") as bar:
-        scores = between_keyframes(dataset, distances, tracker.config, args.jobs, bar)
+        scores = between_keyframes(dataset, distances, tracker.config, args.jobs, bar, args.backend)
     print(to_markdown([f"{dataset.name}, {dataset.coverage} targets", between_table(scores)]))
     return 0
 
@@ -192,6 +194,7 @@ def _open(folder: Path, args: argparse.Namespace) -> Dataset:
     if not folder.is_dir():
         raise UsageError(f"no data at {folder}: {WANTED}")
     try:
+        folder = folder if args.backend == LOCAL else folder.absolute()  # as the machines of a cluster name it
         return open_dataset(folder, args.layout, SUBSETS[args.set])
     except NoData as nothing:
         raise UsageError(f"{nothing}: {WANTED}") from nothing
@@ -201,7 +204,8 @@ def _evaluate(
     args: argparse.Namespace, dataset: Dataset, trackers: Seq[Entry | ResultFolder], protocol: str
 ) -> list[Evaluation]:
     with _Bar(protocol) as bar:
-        return evaluate(dataset, trackers, protocol, results=args.results, jobs=args.jobs, progress=bar)
+        of_batch = {"jobs": args.jobs, "backend": args.backend, "progress": bar}
+        return evaluate(dataset, trackers, protocol, results=args.results, **of_batch)
 
 
 def _films(args: argparse.Namespace, dataset: Dataset, trackers: list[Entry | ResultFolder]) -> list[Picture]:

@@ -1,26 +1,26 @@
-"""Track in many videos at once: one process a video, as many at a time as there are cores, resumable."""
+"""Track in many videos at once: a batch that goes on where it stopped, in processes here or on a cluster."""
 
 from __future__ import annotations
 
 import argparse
 import hashlib
 import json
+import platform
+import shutil
 import sys
+import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass
-from multiprocessing import connection, get_context
-from multiprocessing.connection import Connection
-from multiprocessing.context import SpawnProcess
+from functools import partial
 from pathlib import Path
-
-import cv2
 
 from ..config import MFCMTConfig
 from ..errors import MFCMTError
 from ..exports import Options
 from ..files import replaced
 from ..images.files import list_images, natural_key
+from ..otb.batch import Lost, run_batch
 from ..video import SUFFIXES
 from . import UsageError
 from .follow import Task, follow, open_task
@@ -48,9 +48,11 @@ def track_many(args: argparse.Namespace, starts: dict[str, list[Start]], config:
         raise UsageError(f"--video {args.video} has the sources, which would be overwritten")
     if "" in starts:
         raise UsageError(f"{args.boxes} does not say which file each box is for: add a column file")
-    folder = Path(args.source)
+    folder = Path(args.source).absolute()  # as the other machines of a cluster name it
+    args.output = args.output.absolute()
     args.output.mkdir(parents=True, exist_ok=True)
     if args.video is not None:
+        args.video = args.video.absolute()
         args.video.mkdir(parents=True, exist_ok=True)
     tasks, failures = _tasks(args, folder, starts, config)
     done = _Finished(args.output / DONE)
@@ -58,14 +60,7 @@ def track_many(args: argparse.Namespace, starts: dict[str, list[Start]], config:
     if len(todo) < len(tasks):
         print(f"{len(tasks) - len(todo)} of {len(tasks)} are finished already", file=sys.stderr)
     try:
-        with Ending() as ending:
-            for name, end in _in_processes(todo, max(1, args.jobs), ending):
-                if end.error is None:
-                    done.add(name, todo[name])
-                    statuses = ", ".join(f"{n} {status}" for status, n in end.counts.items())
-                    print(f"{name}: {statuses}", file=sys.stderr)
-                else:
-                    failures.append(f"{name}: {end.error}")
+        failures += _track(todo, done, args)
     except Ended as ended:
         return ended.code
     for failure in failures:
@@ -87,7 +82,7 @@ def _tasks(
         by_stem = [name for name in videos if Path(name).stem == file]
         name = file if (folder / file).exists() else by_stem[0] if len(by_stem) == 1 else None
         if name is None:
-            failures.append(f"{file}: " + ("several videos have this name" if by_stem else f"not in {folder}"))
+            failures.append(f"{file}: " + ("several videos have this name" if by_stem else f"not in {args.source}"))
             continue
         videos.pop(name, None)
         twice = {start.target.name for start in of_file if sum(s.target == start.target for s in of_file) > 1}
@@ -136,75 +131,67 @@ def _digest(task: Task) -> str:
     return hashlib.sha256(about.encode()).hexdigest()
 
 
-@dataclass
-class _End:
-    """How a task ended: numbers of results by status, or what was wrong."""
-
-    counts: Counter[str]
-    error: str | None = None
-
-
-def _in_processes(tasks: dict[str, Task], jobs: int, ending: Ending) -> Iterator[tuple[str, _End]]:
-    """Do the tasks and yield each that has ended. A signal ends those that run, and what they have is kept."""
-    waiting = list(tasks)
-    running: dict[Connection, tuple[str, SpawnProcess]] = {}
-    far: dict[str, str] = {}
-    context = get_context("spawn")
-    try:
-        with Progress(len(tasks), unit="videos") as bar:
-            while waiting or running:
-                while waiting and len(running) < jobs:
-                    name = waiting.pop(0)
-                    near, end = context.Pipe(duplex=False)
-                    process = context.Process(target=_work, args=(tasks[name], end), daemon=True)
-                    with ending.held():
-                        process.start()
-                        running[near] = (name, process)
-                    end.close()
-                for pipe in connection.wait(list(running)):
-                    assert isinstance(pipe, Connection)
-                    name, process = running[pipe]
-                    try:
-                        said = pipe.recv()
-                    except (EOFError, ConnectionError):
-                        process.join()
-                        said = _End(Counter(), f"its process died ({process.exitcode})")
-                    if isinstance(said, str):
-                        far[name] = said
-                        bar.step("  ".join(f"{n} {at}" for n, at in far.items()), 0)
-                        continue
-                    process.join()
-                    del running[pipe]
-                    far.pop(name, None)
-                    bar.step("  ".join(f"{n} {at}" for n, at in far.items()))
-                    yield name, said
-    finally:
-        for _, process in running.values():
-            process.terminate()
-        for _, process in running.values():
-            process.join()
-
-
 EVERY_FRAMES = 50
+"""Between two looks whether the batch still goes on, and two reports how far a video is."""
 
 
-def _work(task: Task, pipe: Connection) -> None:
-    """Do a task in a process of its own, and tell the other end how far it is and how it ended."""
-    cv2.setNumThreads(1)
+@dataclass(frozen=True)
+class _Film:
+    """A video of a batch. While the batch goes on there is the folder ``running``, where each says how far it is."""
 
-    def step(done: int, length: int | None, _: str) -> None:
+    name: str
+    task: Task
+    running: Path
+
+    def step(self, done: int, length: int | None, _: str) -> None:
+        """Tell how far it is. Raises MFCMTError when the batch is at its end."""
         if done % EVERY_FRAMES == 0:
-            pipe.send(f"{done}/{length}" if length else str(done))
+            try:
+                (self.running / self.name.replace("/", "_")).write_text(f"{done}/{length}" if length else str(done))
+            except OSError as gone:
+                raise MFCMTError(f"{platform.node()} does not see {self.running.parent}, where results go") from gone
 
-    end = _End(Counter())
+
+def _follow(film: _Film) -> Counter[str]:
+    """Track in one video, and return the number of results by status. What it has at its end is kept."""
+    film.step(0, None, "")
     try:
-        with Ending() as ending:
-            source, first = open_task(task)
-            end.counts = follow(task, ending, step, source, first)
-    except Ended:
-        return  # the parent ends, too
-    except (MFCMTError, UsageError) as failed:
-        end.error = str(failed)
-    except OSError as failed:
-        end.error = f"{failed.filename or task.source}: {failed.strerror}"
-    pipe.send(end)
+        return follow(film.task, Ending(), film.step, *open_task(film.task))
+    except UsageError as bad:
+        raise MFCMTError(str(bad)) from bad
+    finally:
+        (film.running / film.name.replace("/", "_")).unlink(missing_ok=True)
+
+
+def _track(tasks: dict[str, Task], done: _Finished, args: argparse.Namespace) -> list[str]:
+    """Do the tasks, and return what failed. Raises Ended after a signal, when all that runs has kept what it has."""
+    failures = []
+    running = Path(tempfile.mkdtemp(prefix=".running-", dir=args.output))
+    films = [_Film(name, task, running) for name, task in tasks.items()]
+    end = partial(shutil.rmtree, running, ignore_errors=True)
+    try:
+        with Ending() as ending, _Bar(len(films), running) as bar, ending.held(then=end):
+            for film, found in run_batch(_follow, films, args.jobs, args.backend):
+                bar.step()
+                if not isinstance(found, Lost):
+                    done.add(film.name, film.task)
+                    statuses = ", ".join(f"{n} {status}" for status, n in found.items())
+                    print(f"{film.name}: {statuses}", file=sys.stderr)
+                else:
+                    failures.append(f"{film.name}: {found.reason}")
+    finally:
+        end()
+    return failures
+
+
+class _Bar(Progress):
+    """Progress in videos, with the frames of those that are under way."""
+
+    def __init__(self, total: int, running: Path) -> None:
+        super().__init__(total, unit="videos")
+        self._running = running
+
+    def _draw(self, now: float, *, over: bool = False) -> None:
+        with suppress(OSError):  # one is over just now
+            self._note = "  ".join(f"{path.name} {path.read_text()}" for path in sorted(self._running.glob("*")))
+        super()._draw(now, over=over)

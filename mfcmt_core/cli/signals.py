@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Self
@@ -26,6 +26,7 @@ class Ending:
     def __init__(self) -> None:
         self._held = False
         self._number: int | None = None
+        self._then: Callable[[], object] | None = None
         self._before: dict[int, object] = {}
 
     def __enter__(self) -> Self:
@@ -40,19 +41,20 @@ class Ending:
             signal.signal(number, handler)  # type: ignore[arg-type]
 
     def _hear(self, number: int, _: FrameType | None) -> None:
-        if self._held:
-            self._number = number
-        else:
+        if not self._held or (self._then and self._number):
             raise Ended(number)
+        self._number = number
+        if self._then:
+            self._then()
 
     @contextmanager
-    def held(self) -> Iterator[None]:
-        """Let no signal interrupt the block."""
-        self._held = True
+    def held(self, then: Callable[[], object] | None = None) -> Iterator[None]:
+        """Let no signal interrupt the block; with ``then`` only the first, which calls it to have the block end."""
+        self._held, self._then = True, then
         try:
             yield
         finally:
-            self._held = False
+            self._held, self._then = False, None
         number, self._number = self._number, None
         if number is not None:
             raise Ended(number)

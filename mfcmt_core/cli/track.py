@@ -17,7 +17,7 @@ from ..exports import FORMATS, SUFFIXES, Options, Target
 from ..otb.catalogue import read_config
 from ..video import VideoError
 from ..video.write import check_target
-from . import UsageError
+from . import UsageError, add_batch
 from .box_files import once_each, read_boxes
 from .boxes import parse_box
 from .follow import Task, follow, open_task
@@ -52,7 +52,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--fps", type=float, metavar="N", help="a folder's images a second, which gives them times")
     add("--for", dest="for_s", type=float, metavar="S", help="a camera or a stream: end after so many seconds")
     add("--retry", type=float, default=60.0, metavar="S", help="a stream that is gone: try for so long (60)")
-    add("--jobs", type=int, default=os.cpu_count(), help="a folder of videos: number of processes (one per CPU)")
+    add_batch(parser, "a folder of videos: ")
     add(
         "--on-resize",
         choices=("reject", "rescale"),

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from multiprocessing import get_context
 
 import numpy as np
 
 from ..config import MFCMTConfig
+from ..errors import DataError
 from ..interpolate import interpolate
 from ..tracker import MFCMT
+from .batch import LOCAL, Lost, run_batch
 from .dataset import Dataset, Sequence
 from .document import Table
 from .metrics import Array, overlap
@@ -21,7 +22,7 @@ Scores = dict[int, dict[str, list[Array]]]
 """Overlaps of the frames between keyframes: by distance, by way, a sequence each."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Job:
     sequence: Sequence
     distance: int
@@ -29,19 +30,28 @@ class _Job:
 
 
 def between_keyframes(
-    dataset: Dataset, distances: list[int], config: MFCMTConfig, jobs: int, progress: Callable[[int, int], None]
+    dataset: Dataset,
+    distances: list[int],
+    config: MFCMTConfig,
+    jobs: int | None,
+    progress: Callable[[int, int], None],
+    backend: str = LOCAL,
 ) -> Scores:
     """Return the overlaps with the truth in each frame between keyframes that are ``distances`` frames apart.
 
     A keyframe without a usable annotation moves to the next frame that has one. Raises DataError.
     """
     work = [_Job(sequence, distance, config) for distance in distances for sequence in dataset]
+    found: dict[_Job, dict[str, Array]] = {}
+    for job, overlaps in run_batch(_measure, work, jobs, backend):
+        if isinstance(overlaps, Lost):
+            raise DataError(f"{job.sequence.name}: {overlaps.reason}")
+        found[job] = overlaps
+        progress(len(found), len(work))
     scores: Scores = {distance: {way: [] for way in WAYS} for distance in distances}
-    with get_context("spawn").Pool(jobs) as pool:
-        for done, (job, found) in enumerate(zip(work, pool.imap(_measure, work), strict=True), 1):
-            for way, overlaps in found.items():
-                scores[job.distance][way].append(overlaps)
-            progress(done, len(work))
+    for job in work:
+        for way, of_way in found[job].items():
+            scores[job.distance][way].append(of_way)
     return scores
 
 

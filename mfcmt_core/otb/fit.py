@@ -10,19 +10,18 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 from collections.abc import Sequence as Seq
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 
-import cv2
 import numpy as np
 
 from ..confidence import DEFAULT, WEIGHED
 from ..config import MFCMTConfig
+from ..errors import DataError
 from ..geometry import Frame, Image, Rect
 from ..search import Candidate
 from ..target import Target
 from ..tracker import MFCMT
+from .batch import LOCAL, Lost, run_batch
 from .dataset import Dataset, Sequence
 from .metrics import Array, overlap
 from .protocol import Run
@@ -84,7 +83,6 @@ def starts(sequence: Sequence) -> list[Run]:
 
 def record(source: str, sequence: Sequence, config: MFCMTConfig) -> Recorded:
     """Run the tracker from :func:`starts`; decode every frame once."""
-    cv2.setNumThreads(1)
     runs = starts(sequence)
     trackers: dict[str, _Recorder] = {}
     rows: list[tuple[float, ...]] = []
@@ -121,12 +119,20 @@ def record(source: str, sequence: Sequence, config: MFCMTConfig) -> Recorded:
     )
 
 
-def record_all(datasets: Seq[Dataset], config: MFCMTConfig, jobs: int) -> Iterator[Recorded]:
-    """Yield :func:`record` of every sequence, made in ``jobs`` processes; the longest sequence comes first."""
-    pairs = [(s.source or d.name, s) for d in datasets for s in d]
-    pairs.sort(key=lambda pair: -len(pair[1]))
-    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:  # a fork would copy locks that a thread holds
-        yield from pool.map(record, *zip(*pairs, strict=True), [config] * len(pairs))
+def record_all(
+    datasets: Seq[Dataset], config: MFCMTConfig, jobs: int | None, backend: str = LOCAL
+) -> Iterator[Recorded]:
+    """Yield :func:`record` of every sequence, as each is done; the longest comes first. Raises DataError."""
+    work = [(s.source or d.name, s, config) for d in datasets for s in d]
+    work.sort(key=lambda job: -len(job[1]))
+    for job, recorded in run_batch(_record, work, jobs, backend):
+        if isinstance(recorded, Lost):
+            raise DataError(f"{job[1].name}: {recorded.reason}")
+        yield recorded
+
+
+def _record(job: tuple[str, Sequence, MFCMTConfig]) -> Recorded:
+    return record(*job)
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import DataError
+from .batch import LOCAL, Lost, run_batch
 from .dataset import Dataset, Sequence
+from .jobs import Job, Outcome, one_thread, plan, run_job
 from .metrics import Array, overlap
-from .pool import plan, run_jobs
 from .protocol import PROTOCOLS, Run
 from .results import Record, ResultStore, read_result, read_trust
 from .score import Evaluation, score_runs
@@ -22,6 +23,9 @@ from .trackers import Entry, ResultFolder, identity_hash
 from .trust import Judged
 
 Progress = Callable[[int, int], None]
+
+CLUSTER = 16
+"""How many processes a cluster is taken to have where runs are cut into jobs."""
 
 
 def evaluate(
@@ -32,6 +36,7 @@ def evaluate(
     results: Path | None = None,
     jobs: int | None = None,
     progress: Progress | None = None,
+    backend: str = LOCAL,
 ) -> list[Evaluation]:
     """Score each tracker over the data set under ``OPE``, ``TRE`` or ``SRE``.
 
@@ -50,7 +55,9 @@ def evaluate(
         The number of processes, by default one a CPU. With 1 the trackers run in this process; with more, a script
         needs its ``if __name__ == "__main__"``.
     progress : callable, optional
-        Called with the steps done and the number of all steps; a step is one frame of one run.
+        Called with the steps done and the number of all steps as each job is done; a step is one frame of one run.
+    backend : str, optional
+        Where the processes are: one of :data:`~.batch.BACKENDS`.
 
     Returns
     -------
@@ -61,7 +68,7 @@ def evaluate(
     Raises
     ------
     DataError
-        Two trackers have the same name.
+        Two trackers have the same name, or there is no cluster for the backend.
     """
     trackers = list(trackers)
     if len({t.name for t in trackers}) < len(trackers):
@@ -71,7 +78,7 @@ def evaluate(
         root = results or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="mfcmt-eval-")))
         store = ResultStore(root)
         entries = [t for t in trackers if not isinstance(t, ResultFolder)]
-        _run(dataset, entries, protocol, runs, store, jobs or os.cpu_count() or 1, progress)
+        _run(dataset, entries, protocol, runs, store, progress, jobs, backend)
         return [_scored(dataset, result_folder(t, protocol, root), protocol, runs) for t in trackers]
 
 
@@ -88,8 +95,9 @@ def _run(
     protocol: str,
     runs: dict[str, list[Run]],
     store: ResultStore,
-    workers: int,
     progress: Progress | None,
+    workers: int | None,
+    backend: str,
 ) -> None:
     """Do the runs that are not finished, and keep each as soon as it is."""
     records: dict[tuple[str, str], Record] = {}
@@ -113,17 +121,18 @@ def _run(
                 records[entry.name, sequence.name] = record
                 pairs.append((entry, sequence, todo))
 
-    jobs = plan(pairs, workers)
-    total = sum(job.frames for job in jobs)
+    if backend == LOCAL:
+        workers = workers or os.cpu_count() or 1
+    jobs = plan(pairs, workers or CLUSTER)
+    total = sum(job.steps for job in jobs)
     done = 0
-
-    def tick(steps: int) -> None:
-        nonlocal done
-        done += steps
+    here = workers == 1 and backend == LOCAL
+    for job, outcome in _here(jobs) if here else run_batch(run_job, jobs, workers, backend):
+        if isinstance(outcome, Lost):
+            outcome = Outcome(error=f"{job.sequence.name}: {outcome.reason}")
+        done += job.steps
         if progress is not None:
             progress(done, total)
-
-    for job, outcome in run_jobs(jobs, workers, tick):
         record = records[job.entry.name, job.sequence.name]
         record.error = outcome.error or record.error
         for run in job.runs:
@@ -132,6 +141,14 @@ def _run(
                 asked = run.key in outcome.trust
                 record.runs[run.key] = {"start": run.start, "box": list(run.box), "trust": asked, **speed}
         store.write(protocol, job.entry.name, job.sequence.name, record, outcome.boxes, outcome.trust)
+
+
+def _here(jobs: list[Job]) -> Iterator[tuple[Job, Outcome]]:
+    """Do the jobs in this process."""
+    for job in jobs:
+        with one_thread():
+            outcome = run_job(job)
+        yield job, outcome
 
 
 def _scored(dataset: Dataset, folder: ResultFolder, protocol: str, runs: dict[str, list[Run]]) -> Evaluation:

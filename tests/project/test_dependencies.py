@@ -15,7 +15,8 @@ from packaging.utils import canonicalize_name
 from tests.conftest import ROOT
 
 SERVING, DEVELOPMENT = ROOT / "requirements.lock", ROOT / "requirements-dev.lock"
-LOCKS = [SERVING, DEVELOPMENT, *(ROOT / ".ci" / name for name in ("peers.lock", "bridges.lock"))]
+LOCKS = [SERVING, DEVELOPMENT, *(ROOT / ".ci" / name for name in ("peers.lock", "bridges.lock", "clusters.lock"))]
+CLUSTERS = ROOT / ".ci" / "clusters.lock"
 HASH = re.compile(r"--hash=sha256:[0-9a-f]{64}")
 Entry = tuple[Requirement, list[str]]
 
@@ -41,7 +42,8 @@ def test_every_dependency_is_pinned_and_hashed(path: object) -> None:
 def test_every_dependency_of_the_project_is_locked() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     locked: dict[str, list[Requirement]] = {}
-    for requirement, _ in entries(DEVELOPMENT.read_text()):
+    # Ray and Dask are in an environment of their own.
+    for requirement, _ in [one for path in (DEVELOPMENT, CLUSTERS) for one in entries(path.read_text())]:
         locked.setdefault(canonicalize_name(requirement.name), []).append(requirement)
     wanted = [*project["dependencies"], *(one for extra in project["optional-dependencies"].values() for one in extra)]
     for text in wanted:
