@@ -93,6 +93,37 @@ def test_the_states_used_last_are_kept(tools: Path, frames: Any, clip: Clip) -> 
     assert {4, 6} <= set(fake.completed)
 
 
+# The agent's process, with a clock of its own.
+TWO_PICTURES = """
+import time
+from types import SimpleNamespace
+now = 0.0
+time.monotonic = lambda: now
+import numpy as np
+from service.bridges.cvat_function import KEEP_S, StateDropped, create
+picture = np.random.default_rng(1).integers(0, 255, (120, 160, 3), np.uint8)
+shape = SimpleNamespace(type="rectangle", points=[60, 40, 100, 80])
+context = SimpleNamespace(original_shape_type="rectangle")
+function = create()
+state = function.init_tracking_state(context, picture, shape)
+now = KEEP_S - 1
+assert function.track(context, picture, state).type == "rectangle"
+now += KEEP_S - 1  # counted from its last use
+assert function.track(context, picture, state).type == "rectangle"
+now += KEEP_S + 1
+try:
+    function.track(context, picture, state)
+except StateDropped:
+    print("dropped after", KEEP_S / 3600, "hours")
+"""
+
+
+def test_a_state_is_dropped_eight_hours_after_its_last_use(tools: Path) -> None:
+    done = run([tools / "python", "-c", TWO_PICTURES])
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "dropped after 8.0 hours\n"
+
+
 def test_a_bad_preset_is_told(tools: Path, frames: Any) -> None:
     with FakeCvat(*frames, []) as fake:
         done = agent(tools, fake, "run-agent", "1", "--burst", "-p", "preset=str:best")
