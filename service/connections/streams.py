@@ -51,7 +51,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.queue: Any = Inbox()
+        self.queue: Inbox = Inbox()  # type: ignore[assignment]
         self._reader = self.conn.reader = PacedReader()
         self.conn.parser = self.conn.parse()  # reads from the new reader
         next(self.conn.parser)
@@ -82,7 +82,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         # A large message is read in parts, too: the kernel would hand over megabytes in one turn.
         if self._reader.behind or len(data) > LARGE_READ_BYTES:
             self._pause_reading()
-            if self.queue.empty() or self.close_sent:
+            if not self.queue.messages or self.close_sent:
                 self._go_on_later()
         if self._begun_at == 0.0 and (self._reader.held or self.frames):
             self._begun_at = self.loop.time()
@@ -90,12 +90,17 @@ class FrameProtocol(WebSocketsSansIOProtocol):
 
     async def receive(self) -> Any:
         """Return the next message, but only a few in one turn of the loop, and none late in one."""
-        self._in_a_row = 0 if self.queue.empty() else self._in_a_row + 1
-        if self._in_a_row >= MESSAGES_A_TURN:
+        messages = self.queue.messages
+        if not messages:
+            self._in_a_row = 0
+            await self.queue.wait()
+        elif (in_a_row := self._in_a_row + 1) < MESSAGES_A_TURN:
+            self._in_a_row = in_a_row
+        else:
             self._in_a_row = 0
             await asyncio.sleep(0)
-        message = await self.queue.get()
-        if not self.queue.empty():
+        message = messages.popleft()
+        if messages:
             await turns.give_way()
         else:
             self._queued_bytes = 0
@@ -117,7 +122,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
             self._count_frame()
             return
         data = parts[0] if len(parts) == 1 else b"".join(parts)
-        if not self.queue.empty():
+        if self.queue.messages:
             self._pause_reading()
         if self.curr_msg_data_type == "text":
             try:
@@ -258,7 +263,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
         self._goes_on = self._reader.behind = False
         if not self._ends:
             self.data_received(b"")
-            if not self._reader.behind and self.queue.empty() and self.read_paused:
+            if not self._reader.behind and not self.queue.messages and self.read_paused:
                 self.read_paused = False
                 self.transport.resume_reading()
 

@@ -103,5 +103,8 @@ class _Budget:
         return items
 
     def pairs(self, pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
-        self.items(pairs)
-        return _unique(pairs)
+        value = dict(pairs)
+        self._left -= len(pairs)
+        if self._left < 0 or len(value) != len(pairs):
+            raise ValueError("too many items, or a key is doubled")
+        return value

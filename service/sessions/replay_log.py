@@ -55,7 +55,7 @@ class RecoveryBudget:
     def spent(self, owner: str) -> bool:
         """Return whether the limit is reached, or the share of this owner."""
         free = self.limit - self.checkpoints - self.frames
-        return free <= (self._held_by[owner] if self._owners() > 1 else 0)
+        return free <= 0 or (free <= self._held_by[owner] and self._owners() > 1)
 
 
 class ReplayLog:
