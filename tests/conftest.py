@@ -56,6 +56,7 @@ SLOW = (
     "core/video",
     "docker/test_image.py",
     "docker/test_monitoring.py",
+    "docker/test_nodes.py",
     "docker/test_proxies.py",
     "examples",
     "project/test_wheel.py",

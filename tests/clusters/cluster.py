@@ -14,6 +14,8 @@ from collections.abc import Callable
 
 
 def ray_cluster() -> tuple[str, Callable[[], object], Callable[[], object]]:
+    # By default its workers wait for all others on a busy machine.
+    os.environ["RAY_worker_niceness"] = "0"  # noqa: SIM112
     from ray.cluster_utils import Cluster
 
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import os
 import re
 import shutil
 import subprocess
@@ -19,7 +21,10 @@ from tests.conftest import ROOT, require
 
 DOCKER = ROOT / "docker"
 KUBERNETES = DOCKER / "kubernetes"
+CLUSTER = DOCKER / "kubernetes-cluster"
 AUTOSCALING = DOCKER / "kubernetes-autoscaling"
+SCALER = DOCKER / "kubernetes-components/autoscaling"
+OVERLAYS = sorted(path.parent for path in DOCKER.glob("kubernetes*/kustomization.yaml"))
 STYLE = (
     "{extends: default, rules: {line-length: {max: 120}, document-start: disable, braces: disable, brackets: disable}}"
 )
@@ -34,7 +39,7 @@ def tool(name: str, *arguments: object) -> tuple[int, str]:
 
 
 def manifests() -> list[dict[str, Any]]:
-    files = [*sorted(KUBERNETES.glob("*.yaml")), *sorted(AUTOSCALING.glob("*.yaml"))]
+    files = [*sorted(KUBERNETES.glob("*.yaml")), *sorted(SCALER.glob("*.yaml"))]
     return [one for path in files if path.name not in NO_MANIFESTS for one in yaml.safe_load_all(path.read_text())]
 
 
@@ -65,25 +70,83 @@ def test_a_misspelt_manifest_is_not_valid() -> None:
 
 
 def test_the_kustomizations_name_every_manifest() -> None:
-    for folder in (KUBERNETES, AUTOSCALING):
+    for folder in (KUBERNETES, SCALER):
         listed = yaml.safe_load((folder / "kustomization.yaml").read_text())["resources"]
-        assert {*listed} - {"../kubernetes"} == {path.name for path in folder.glob("*.yaml")} - NO_MANIFESTS
+        assert {*listed} == {path.name for path in folder.glob("*.yaml")} - NO_MANIFESTS
 
 
-def test_kubectl_builds_everything_with_the_version_as_tag() -> None:
+@functools.cache
+def built(folder: Path) -> dict[str, dict[str, Any]]:
+    """What ``kubectl apply -k`` sends, by kind and name."""
     require(shutil.which("kubectl"), "no kubectl (Debian: kubernetes-client)")
+    done = subprocess.run(["kubectl", "kustomize", folder], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    return {f"{one['kind']} {one['metadata']['name']}": one for one in yaml.safe_load_all(done.stdout)}
+
+
+def container_of(folder: Path) -> dict[str, Any]:
+    [workload] = [one for one in built(folder).values() if one["kind"] in ("StatefulSet", "Deployment")]
+    [container] = workload["spec"]["template"]["spec"]["containers"]
+    return {**container, "env": {one["name"]: one for one in container["env"]}}
+
+
+@pytest.mark.parametrize("folder", OVERLAYS, ids=lambda folder: folder.name)
+def test_kubectl_builds_everything_with_the_version_as_tag(folder: Path) -> None:
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
-    kinds = {}
-    for folder in (KUBERNETES, AUTOSCALING):
-        done = subprocess.run(["kubectl", "kustomize", folder], capture_output=True, text=True, check=False)
-        assert (done.returncode, done.stderr) == (0, "")
-        made = list(yaml.safe_load_all(done.stdout))
-        kinds[folder] = {one["kind"] for one in made}
-        [stateful] = [one for one in made if one["kind"] == "StatefulSet"]
-        [container] = stateful["spec"]["template"]["spec"]["containers"]
-        assert container["image"] == f"mfcmt:{version}"
+    assert container_of(folder)["image"] == f"mfcmt:{version}"
+    for one in built(folder).values():
+        if "coreos.com" not in one["apiVersion"]:
+            for schema in ("1.30", "1.37"):
+                kubernetes_validate.validate(one, schema, strict=True)
     # what is applied without an operator has nothing that only an operator knows
-    assert kinds[AUTOSCALING] - kinds[KUBERNETES] == {"HorizontalPodAutoscaler", "PodMonitor"}
+    scaled = {"HorizontalPodAutoscaler mfcmt", "PodMonitor mfcmt"}
+    assert built(folder).keys() & scaled == (scaled if "autoscaling" in folder.name else set())
+
+
+def test_nodes_of_a_cluster_are_a_deployment_without_a_volume_of_their_own() -> None:
+    made = built(CLUSTER)
+    assert "StatefulSet mfcmt" not in made
+    spec = made["Deployment mfcmt"]["spec"]
+    assert {"volumeClaimTemplates", "serviceName", "podManagementPolicy"}.isdisjoint(spec)
+    assert all("persistentVolumeClaim" not in volume for volume in spec["template"]["spec"]["volumes"])
+    assert spec["strategy"]["rollingUpdate"] == {"maxSurge": 1, "maxUnavailable": 0}
+    env = container_of(CLUSTER)["env"]
+    assert env["MFCMT_STATE_DIR"]["value"] == ""
+    assert env["MFCMT_STORE"]["valueFrom"]["secretKeyRef"] == {"name": "mfcmt", "key": "store"}
+    assert list(env).index("POD_IP") < list(env).index("MFCMT_NODE_URL")
+    assert "sessionAffinity" not in made["Service mfcmt"]["spec"]
+
+
+def test_a_node_of_a_cluster_is_named_as_the_dns_of_its_service_names_it() -> None:
+    shell, flag, script = container_of(CLUSTER)["command"]
+    said = script.replace("exec mfcmt serve", 'echo "$MFCMT_NODE"')
+    assert said != script
+    for address, name in (("10.1.2.3", "10-1-2-3"), ("fd00::12", "fd00--12")):
+        done = subprocess.run(
+            [shell, flag, said], env={**os.environ, "POD_IP": address}, capture_output=True, text=True
+        )
+        assert done.stdout == f"{name}\n"
+
+
+def test_a_cluster_may_reach_its_names_its_nodes_and_its_store_alone() -> None:
+    rules = built(CLUSTER)["NetworkPolicy mfcmt"]["spec"]["egress"]
+    assert [port["port"] for rule in rules for port in rule["ports"]] == [53, 53, 8000, 6379]
+    assert built(KUBERNETES)["NetworkPolicy mfcmt"]["spec"].get("egress", []) == []
+
+
+def test_overlays_without_keys_have_no_key_and_say_so() -> None:
+    for folder in OVERLAYS:
+        container = container_of(folder)
+        without = folder.name.endswith("-without-keys")
+        assert ("MFCMT_API_KEYS_FILE" not in container["env"]) == without
+        assert ("MFCMT_ALLOW_UNAUTHENTICATED" in container["env"]) == without
+        assert ("keys" not in {mount["name"] for mount in container["volumeMounts"]}) == without
+
+
+def test_the_autoscaler_of_a_cluster_scales_its_deployment_by_the_mean_alone() -> None:
+    scaler = built(DOCKER / "kubernetes-cluster-autoscaling")["HorizontalPodAutoscaler mfcmt"]["spec"]
+    assert scaler["scaleTargetRef"] == {"apiVersion": "apps/v1", "kind": "Deployment", "name": "mfcmt"}
+    assert [one["type"] for one in scaler["metrics"]] == ["Pods"]
 
 
 def test_selectors_ports_and_the_metric_agree() -> None:
