@@ -30,6 +30,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     for name in FLAGS:
         field = Settings.model_fields[name]
         parser.add_argument(f"--{name.replace('_', '-')}", dest=name, help=field.description, metavar="VALUE")
+    parser.add_argument(
+        "--nodes",
+        type=int,
+        metavar="N",
+        help="run N nodes on ports from --port on, which share the store MFCMT_STORE (docs/scaling.md)",
+    )
     lines = [f"  {_variable(name)}{_default(field)}\n      {field.description}" for name, field in _fields()]
     parser.epilog = "Settings, from the environment; an argument above goes before its variable.\n\n" + "\n".join(lines)
 
@@ -37,11 +43,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve until a signal; the first drains, the second stops at once."""
     given = {name: value for name in FLAGS if (value := getattr(args, name)) is not None}
+    if args.nodes is not None:
+        given |= {"store": None, "node": "", "node_url": ""}  # each node reads them for itself
     try:
         settings = Settings(**given)
     except ValidationError as wrong:
         raise UsageError("; ".join(_message(error) for error in wrong.errors(include_input=False))) from None
 
+    if args.nodes is not None:
+        from . import serve_nodes
+
+        return serve_nodes.run(args.nodes, settings)
     check_free(settings.host, settings.port)
 
     from ..app import create_app

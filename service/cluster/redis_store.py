@@ -60,6 +60,7 @@ class RedisStore(BackgroundWriter):
     """The database of a node. All methods wait for Redis, except those of :class:`BackgroundWriter` that only save."""
 
     faults = (redis.RedisError, OSError)
+    tells_ends = True  # the session holds a place of its owner from its start on
 
     def __init__(self, url: str, node: Node, metrics: Metrics, *, every_s: float, remember_s: float) -> None:
         super().__init__(metrics, every_s)

@@ -101,6 +101,8 @@ class BackgroundWriter(ABC):
 
     faults: ClassVar[tuple[type[Exception], ...]]
     """What :meth:`_write` raises when it failed and may succeed later."""
+    tells_ends: ClassVar[bool] = False
+    """Whether the end of a session is written even if the session itself never was."""
 
     def __init__(self, metrics: Metrics, every_s: float = 0.0) -> None:
         self.on_late: Callable[[list[str]], None] = lambda _: None
@@ -145,7 +147,7 @@ class BackgroundWriter(ABC):
         """Have a session removed, if it is or will be in the database."""
         with self._changed:
             self._written_at.pop(sid, None)
-            if sid in self._stored or sid in self._batch:
+            if self.tells_ends or sid in self._stored or sid in self._batch:
                 self._waiting[sid] = ended
                 self._changed.notify_all()
             else:
