@@ -10,6 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any, ParamSpec, TypeVar
 
 import msgpack
@@ -24,6 +25,7 @@ from ..sessions.database import SavedSession, StateError
 from ..sessions.idempotency import content_digest
 from ..sessions.registry import SessionRegistry
 from ..sessions.session import Session
+from ..sessions.ttl_cache import TTLCache
 from ..settings import Settings
 from . import scripts
 from .membership import BEAT_EVERY_S, Load, Membership, NodeReplaced
@@ -39,9 +41,18 @@ KEEP_EVERY_BEATS = 15
 # A place of a session that starts is kept for it for this long.
 START_MS = 60_000
 LOOKS = 3
+PLACES, PLACE_S = 10_000, 1.0
 SESSIONS = "/v1/sessions"
 
 log: structlog.stdlib.BoundLogger = structlog.get_logger("mfcmt.cluster")
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """The node that has a session, and the session's owner."""
+
+    owner: str
+    node: Node
 
 
 class StoreAway(Exception):
@@ -64,6 +75,8 @@ class ClusterNode:
         self._threads = ThreadPoolExecutor(THREADS, "mfcmt-store")
         self._taking: dict[str, asyncio.Task[None]] = {}
         self._leaving: dict[str, asyncio.Task[None]] = {}
+        # Where sessions were found of late, so that Redis is not asked for every call.
+        self._places: TTLCache[Place] = TTLCache(PLACES, PLACE_S, time.monotonic)
         self._failed_at: float | None = None
         self._answered_at = time.monotonic()
         self._beats = 0
@@ -123,6 +136,8 @@ class ClusterNode:
                 await asyncio.wait([task])
             if await self._is_here(sid):
                 return
+            if (place := self._places.get(sid)) is not None and place.owner == owner:
+                raise self._elsewhere(place.node, sid, rest, websocket)
             try:
                 found = await self._ask(self.database.whereabouts, sid)
             except StoreAway as away:
@@ -132,6 +147,7 @@ class ClusterNode:
             if found.ended is not None:
                 raise session_gone(found.ended.reason, found.ended.detail)
             if found.node is not None and found.node.holder != self.me.holder:
+                self._places.put(owner, sid, Place(owner, found.node))
                 raise self._elsewhere(found.node, sid, rest, websocket)
             if self.registry.draining or not self._has_room():
                 peer = self._peer()
@@ -141,6 +157,10 @@ class ClusterNode:
                 raise self._elsewhere(peer, sid, rest, websocket)
             await self._take_up(owner, sid)
         raise _unknown_now("nodes change")
+
+    def forget_place(self, url: str) -> None:
+        """Ask Redis again for the session in the URL of a call, because its node did not answer."""
+        self._places.pop(url.partition(f"{SESSIONS}/")[2].partition("/")[0].partition("?")[0])
 
     async def admit(self, owner: str, sid: str) -> int:
         """Count a new session among those that the owner has at all nodes, and return the epoch of its first claim.
@@ -308,6 +328,7 @@ class ClusterNode:
     async def _renew(self) -> None:
         if await self._ask(self._membership.renew, self._load()):
             await self._reconcile()
+        self._places.sweep()
         self._beats += 1
         if self._beats % KEEP_EVERY_BEATS == 0:
             store = self.registry.store

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import re
 
-import httpx2
 from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -15,6 +13,7 @@ from ..api import bodies
 from ..protocol.enums import ProblemCode
 from ..protocol.problems import ProblemError
 from ..settings import Settings
+from .calls import NoAnswer, NodeCalls, Unreachable
 from .membership import LEASE_S
 from .node import ClusterNode
 
@@ -26,10 +25,10 @@ PASSED_ON = "mfcmt-passed-on"
 # Headers of one connection, and those that this node has checked or answers itself (RFC 9110, 7.6.1).
 OWN = {
     *("connection", "keep-alive", "proxy-authenticate", "proxy-authorization", "te", "trailer", "transfer-encoding"),
-    *("upgrade", "host", "origin", "content-length", "date", "server", "x-request-id"),
+    *("upgrade", "host", "origin", "content-length", "accept-encoding", "expect", "date", "server", "x-request-id"),
     *("access-control-request-method", "access-control-request-headers"),
 }
-TIMEOUT_S = 10.0
+NO_CONTENT = 204
 LOOK_AGAIN_S = 0.25
 # How much longer than a lease a call waits for a node that does not answer.
 BEYOND_S = 1.0
@@ -40,8 +39,7 @@ class SessionRouter:
 
     def __init__(self, app: ASGIApp, node: ClusterNode, settings: Settings) -> None:
         self._app, self._node, self._settings = app, node, settings
-        logging.getLogger("httpx2").setLevel(logging.WARNING)  # the call itself is logged
-        self._client = httpx2.AsyncClient(timeout=TIMEOUT_S, trust_env=False)
+        self._calls = NodeCalls()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one call, or pass it on."""
@@ -89,16 +87,19 @@ class SessionRouter:
         passed = [(name, value) for name, value in headers.items() if name not in OWN]
         passed += [(PASSED_ON, self._node.me.name), ("X-Request-ID", scope["state"]["request_id"])]
         try:
-            answer = await self._client.request(scope["method"], url, headers=passed, content=body)
-        except httpx2.ConnectError:
+            answer = await self._calls.call(scope["method"], url, passed, body)
+        except Unreachable:
+            self._node.forget_place(url)
             return False
-        except httpx2.TransportError as failed:
-            detail = f"the node that has the session does not answer ({type(failed).__name__})"
+        except NoAnswer as failed:
+            self._node.forget_place(url)
+            detail = f"the node that has the session does not answer ({failed})"
             raise ProblemError(ProblemCode.AT_CAPACITY, detail, retry_after_s=1.0) from failed
-        back = [(n.lower(), v) for n, v in answer.headers.raw if n.lower().decode() not in OWN]
-        back.append((b"content-length", str(len(answer.content)).encode()))
-        await send({"type": "http.response.start", "status": answer.status_code, "headers": back})
-        await send({"type": "http.response.body", "body": answer.content})
+        back = [(name, value) for name, value in answer.headers if name.decode() not in OWN]
+        if answer.status != NO_CONTENT:
+            back.append((b"content-length", str(len(answer.body)).encode()))
+        await send({"type": "http.response.start", "status": answer.status, "headers": back})
+        await send({"type": "http.response.body", "body": answer.body})
         return True
 
 

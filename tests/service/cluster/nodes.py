@@ -8,7 +8,7 @@ import signal
 from collections.abc import AsyncIterator
 from typing import Any
 
-from service.client import AsyncClient, AsyncSession, Result, Resumed
+from service.client import AsyncClient, AsyncSession, Frame, Result, Resumed
 from service.load.clips import Clip
 from service.load.own import OwnServer, free_port
 
@@ -45,13 +45,13 @@ async def create(server: OwnServer, clip: Clip, **more: Any) -> str:
         return (await there.create(clip.frames[0], clip.box, **more)).id
 
 
-async def paced(frames: list[bytes], go_on: asyncio.Event, held: int) -> AsyncIterator[bytes]:
-    """Yield frames at a steady pace; after the first ``held`` ones, wait for ``go_on``."""
+async def paced(frames: list[bytes], go_on: asyncio.Event, held: int) -> AsyncIterator[Frame]:
+    """Yield frames at a steady pace, ``ts`` their place; after the first ``held`` ones, wait for ``go_on``."""
     for number, frame in enumerate(frames):
         if number == held:
             await go_on.wait()
         await asyncio.sleep(PACE_S)
-        yield frame
+        yield Frame(frame, ts=number)
 
 
 class Run:
@@ -73,10 +73,10 @@ class Run:
                     self.halfway.set()
 
     async def finish(self) -> list[int]:
-        """Let the rest of the frames go, and return the numbers of all results."""
+        """Let the rest of the frames go, and return the places of the frames whose results came."""
         self._go_on.set()
         await self._task
-        return [result.seq for result in self.results]
+        return [int(result.ts or 0) for result in self.results]
 
 
 def kill(server: OwnServer, signal_: signal.Signals = signal.SIGKILL) -> None:

@@ -51,7 +51,7 @@ async def test_a_session_outlives_its_killed_node(nodes: dict[str, OwnServer], c
         run = Run(session, clip.frames[1:], HELD)
         await run.halfway.wait()
         with without(nodes["c"]):
-            assert await run.finish() == list(range(1, len(clip.frames)))
+            assert await run.finish() == list(range(len(clip.frames) - 1))
             assert len(run.resumed) == 1
             assert run.resumed[0].lost_after is not None
             assert run.resumed[0].lost_after <= HELD
@@ -77,7 +77,8 @@ async def test_the_javascript_client_outlives_a_killed_node(
         nodes["c"].stop()
         nodes["c"].start()
     assert task.done()
-    assert told["seqs"] == list(range(1, len(clip.frames)))
+    assert len(told["seqs"]) == len(clip.frames) - 1
+    assert told["seqs"] == sorted(set(told["seqs"]))  # what was not answered takes new numbers
     assert len(told["resumed"]) == 1
     assert told["url"].startswith(f"ws{nodes['d'].url[4:]}")
 
@@ -115,7 +116,7 @@ async def test_a_node_that_drains_hands_its_streams_over(nodes: dict[str, OwnSer
         await run.halfway.wait()
         kill(nodes["c"], signal.SIGTERM)
         try:
-            assert await run.finish() == list(range(1, len(clip.frames)))
+            assert await run.finish() == list(range(len(clip.frames) - 1))
             assert [resumed.lost_after for resumed in run.resumed] == [None]
             assert [result.target.box for result in run.results] == wanted
         finally:
@@ -155,7 +156,7 @@ async def test_streams_go_on_without_the_store(
         with pytest.raises(Problem) as unknown:
             await other.session(session.id)
         assert unknown.value.code == "at-capacity"  # and not session-not-found, which would be final
-        assert await run.finish() == list(range(1, len(clip.frames)))
+        assert await run.finish() == list(range(len(clip.frames) - 1))
         assert run.resumed == []
         assert [result.target.box for result in run.results] == wanted
         redis_server.start()
