@@ -22,8 +22,12 @@ def main() -> None:
         page.click("#follow-suggestion")
         page.wait_for_selector("#targets li")
         page.keyboard.press("Space")
+        page.wait_for_function("document.getElementById('connection-text').innerText === 'Paused'")
         page.keyboard.press("a")
-        stage = page.locator("#picture").bounding_box()
+        before, stage = None, page.locator("#picture").bounding_box()
+        while stage != before:  # it moves while panels come
+            page.wait_for_timeout(500)
+            before, stage = stage, page.locator("#picture").bounding_box()
         assert stage
         scale = min(stage["width"] / 640, stage["height"] / 480)
         left, top = stage["x"] + (stage["width"] - 640 * scale) / 2, stage["y"]
