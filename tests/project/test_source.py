@@ -17,6 +17,8 @@ BANNED_MODULES = {
     "pickle", "_pickle", "cPickle", "cloudpickle", "dill", "jsonpickle", "joblib", "marshal", "shelve", "dbm",
     "copyreg", "yaml", "code", "codeop", "telnetlib", "xmlrpc",
 }  # fmt: skip
+# joblib pickles for the batches of the command line alone, whose workers the user starts: never what somebody sent.
+BATCHES = "mfcmt_core/otb/batch.py"
 BANNED_CALLS = {"eval", "exec", "compile", "__import__"}
 BANNED_METHODS = {"allow_pickle", "system", "popen"}
 # Of pickles, multiprocessing makes one for each lane's start, by itself; its pipes and queues would make more.
@@ -44,7 +46,8 @@ def test_the_walk_finds_source_files() -> None:
 def test_no_code_is_pickled_or_run_from_data() -> None:
     for path, tree in trees():
         for node in ast.walk(tree):
-            assert not imported(node) & BANNED_MODULES, f"{path}:{getattr(node, 'lineno', 0)}"
+            banned = BANNED_MODULES - ({"joblib"} if str(path) == BATCHES else set())
+            assert not imported(node) & banned, f"{path}:{getattr(node, 'lineno', 0)}"
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
                 assert node.func.id not in BANNED_CALLS, f"{path}:{node.lineno}"
             if isinstance(node, ast.Attribute):
@@ -81,7 +84,7 @@ def test_numpy_arrays_are_read_without_objects() -> None:
 
 def test_secrets_come_from_the_system_s_generator() -> None:
     """``random`` decides over nothing that must not be guessed."""
-    allowed = {"service/server.py", "service/client", "service/load"}
+    allowed = {"service/server.py", "service/client", "service/load", "service/cluster/node.py"}
     for path, tree in trees():
         if path.parts[0] == "service" and not any(str(path).startswith(name) for name in allowed):
             for node in ast.walk(tree):
