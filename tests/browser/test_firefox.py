@@ -30,6 +30,17 @@ async def violations(page: Firefox) -> list[str]:
     return list(found)
 
 
+async def drag(page: Firefox, start: tuple[float, float], end: tuple[float, float]) -> None:
+    """Drag the mouse between two points of the picture, in pixels of the source, once the picture lies still."""
+    code = "(({x, y, width}) => [x, y, width / picture.width])(picture.getBoundingClientRect())"
+    before, place = None, await page.evaluate(code)
+    while place != before:
+        before, place = place, await page.evaluate(f"new Promise((done) => setTimeout(done, 500)).then(() => {code})")
+    left, top, scale = place
+    points = [(left + x * scale, top + y * scale) for x, y in (start, end)]
+    await page.drag(points[0], points[1])
+
+
 @pytest.fixture
 def profile(tmp_path: Path) -> Path:
     return tmp_path / "profile"
@@ -46,6 +57,18 @@ async def test_the_first_visit_ends_with_a_tracked_balloon(server: OwnServer, pr
         status = await page.evaluate("document.querySelector('#targets li').dataset.status")
         assert status in ("tracking", "uncertain")
         assert await violations(page) == []
+        assert page.said == []
+
+
+async def test_a_camera_is_tracked(server: OwnServer, profile: Path) -> None:
+    """Firefox shows a camera of its own making."""
+    async with firefox(profile) as page:
+        await page.goto(server.url)
+        await page.click("#choose-camera")
+        await page.until(f"{STATE} === 'open'")
+        await page.until("document.getElementById('picture').width > 100")
+        await drag(page, (100, 100), (200, 200))
+        await page.until(f"{FRAMES} >= 5")
         assert page.said == []
 
 
