@@ -163,7 +163,7 @@ def _node(settings: Settings, lanes: Lanes, metrics: Metrics) -> ClusterNode | N
     if settings.store is None:
         return None
     try:
-        from .cluster.node import make_node
+        from .cluster.make import make_node
     except ModuleNotFoundError as missing:
         raise StateError(f"MFCMT_STORE needs the package {missing.name}: pip install 'mfcmt[cluster]'") from missing
     return make_node(settings, lanes, metrics)

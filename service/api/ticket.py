@@ -35,6 +35,6 @@ async def make_ticket(
         raise ProblemError(ProblemCode.BAD_REQUEST, f"ttl_s: at most {service.settings.max_ticket_s:g}")
     ticket = service.authenticator.issue(identity, session.id, ttl_s)
     if service.node is not None:
-        await service.node.share_ticket(ticket_name(ticket), identity, session.id, ttl_s)
+        await service.node.tickets.share(ticket_name(ticket), identity, session.id, ttl_s)
     expires_at = datetime.now(UTC) + timedelta(seconds=ttl_s)
     return answer(message(Ticket, ticket=ticket, expires_at=instant(expires_at)), 201)

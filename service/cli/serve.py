@@ -84,7 +84,8 @@ def run(args: argparse.Namespace) -> int:
         return int(failed.code or 1)
     if not app.state.service.registry.store.all_written:
         lost = "some sessions could not be written at the stop; the next start has an older state of them"
-        print(f"mfcmt serve: {lost}. Make room in {settings.state_dir}", file=sys.stderr)
+        todo = f"Make room in {settings.state_dir}" if settings.state_dir else "See why Redis did not answer"
+        print(f"mfcmt serve: {lost}. {todo}", file=sys.stderr)
         return NOT_WRITTEN
     return 0
 

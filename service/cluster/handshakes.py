@@ -7,7 +7,8 @@ from starlette.types import Scope
 
 from ..auth import Authenticator, IssuedTicket, shown_tickets
 from ..keys import Identity
-from .node import ClusterNode, StoreAway
+from .asking import StoreAway
+from .node import ClusterNode
 
 # A ticket of another node is spent by the handshake that has shown it, within this time.
 LEARNED_S = 10.0
@@ -39,7 +40,7 @@ class Handshakes:
         known = self._authenticator.peek(ticket)
         if known is None:
             try:
-                found = await self._node.ticket(ticket, spend=False)
+                found = await self._node.tickets.find(ticket, spend=False)
             except StoreAway:
                 return None
             known = found and IssuedTicket(*found)
@@ -48,7 +49,7 @@ class Handshakes:
     async def _spend(self, ticket: str) -> None:
         """Take a ticket from the store: this node alone admits whoever shows it."""
         try:
-            found = await self._node.ticket(ticket, spend=True)
+            found = await self._node.tickets.find(ticket, spend=True)
         except StoreAway:
             return  # a ticket of this node stays valid here
         if found is None:

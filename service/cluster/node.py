@@ -9,34 +9,26 @@ import signal
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, ParamSpec, TypeVar
 
-import msgpack
-import redis
 import structlog
 
-from ..keys import Identity
 from ..lanes.interface import Lanes
 from ..protocol.enums import EndReason, ProblemCode
 from ..protocol.problems import ProblemError, elsewhere, session_gone
 from ..sessions.database import SavedSession, StateError
-from ..sessions.idempotency import content_digest
 from ..sessions.registry import SessionRegistry
 from ..sessions.session import Session
 from ..sessions.ttl_cache import TTLCache
 from ..settings import Settings
 from . import scripts
+from .asking import Asking, StoreAway
+from .creations import Creation, Creations
 from .membership import BEAT_EVERY_S, Load, Membership, NodeReplaced
 from .redis_store import Node, RedisStore, key, new_epoch, now_ms
+from .tickets import SharedTickets
 
-T = TypeVar("T")
-P = ParamSpec("P")
-
-THREADS = 4
-# While Redis is away, calls that need it do not all wait for it.
-ASK_AGAIN_S = 0.5
 KEEP_EVERY_BEATS = 15
 # A place of a session that starts is kept for it for this long.
 START_MS = 60_000
@@ -55,10 +47,6 @@ class Place:
     node: Node
 
 
-class StoreAway(Exception):
-    """Redis does not answer."""
-
-
 class ClusterNode:
     """The way from this node to the store and to the other nodes; see :class:`~service.sessions.interface.SharedNode`.
 
@@ -72,13 +60,13 @@ class ClusterNode:
         self._settings, self._lanes = settings, lanes
         self._membership = Membership(database)
         self._admit = database.client.register_script(scripts.ADMIT)
-        self._threads = ThreadPoolExecutor(THREADS, "mfcmt-store")
+        self._ask = Asking()
+        self.tickets = SharedTickets(database.client, self._ask)
+        self._creations = Creations(database.client, self._ask, self.me.holder, settings.idempotency_s)
         self._taking: dict[str, asyncio.Task[None]] = {}
         self._leaving: dict[str, asyncio.Task[None]] = {}
         # Where sessions were found of late, so that Redis is not asked for every call.
         self._places: TTLCache[Place] = TTLCache(PLACES, PLACE_S, time.monotonic)
-        self._failed_at: float | None = None
-        self._answered_at = time.monotonic()
         self._beats = 0
 
     @property
@@ -118,7 +106,7 @@ class ClusterNode:
             await self._ask(self._membership.leave)
         except StoreAway:
             log.warning("the lease could not be given up; it runs out by itself")
-        self._threads.shutdown(wait=False)
+        self._ask.close()
 
     async def locate(self, owner: str, sid: str, rest: str = "", *, websocket: bool = False) -> None:
         """Make sure that a session is here, if it is anywhere.
@@ -177,7 +165,7 @@ class ClusterNode:
                 raise ProblemError(ProblemCode.OVER_QUOTA, f"at most {most} sessions of a key", retry_after_s=1.0)
         except StoreAway:
             pass  # this node keeps its own limits
-        if (away_s := self._away_s()) > self._settings.store_grace_s:
+        if (away_s := self._ask.away_s) > self._settings.store_grace_s:
             detail = f"the store has been away for {away_s:.0f} s: no new session could outlive this node"
             raise ProblemError(ProblemCode.AT_CAPACITY, detail, retry_after_s=BEAT_EVERY_S)
         return new_epoch()
@@ -189,76 +177,23 @@ class ClusterNode:
 
         Raises bad-request if it came with other content, elsewhere if another node has what it made.
         """
-        place = key("creation", f"{owner} {name}")
-        digest = await asyncio.to_thread(content_digest, data, rest)
-        keep_ms = int(self._settings.idempotency_s * 1e3)
+        return await self._creations.once(owner, name, data, rest, make, self._follow)
 
-        def begin() -> tuple[bytes, str, str] | None:
-            mine = msgpack.packb((digest, self.me.holder, ""))
-            found = self.database.client.set(place, mine, nx=True, get=True, px=keep_ms)
-            return None if found is None else msgpack.unpackb(found)
-
-        def end(sid: str | None) -> None:
-            if sid is None:
-                self.database.client.delete(place)
-            else:
-                self.database.client.set(place, msgpack.packb((digest, self.me.holder, sid)), px=keep_ms)
-
+    async def _follow(self, owner: str, known: Creation) -> str | None:
+        """Return the id that another call made, once it is here; None if the node that worked at it is gone."""
+        if not known.sid:
+            maker = next((node for node in self._membership.peers if node.holder == known.holder), None)
+            if maker is None:
+                return None
+            raise elsewhere(maker.name, maker.url + SESSIONS)
         try:
-            known = await self._ask(begin)
-        except StoreAway:
-            return await make()
-        if known is not None:
-            sid = await self._made(owner, digest, *known)
-            if sid:
-                return sid
-        made = None
-        try:
-            made = await make()
-        finally:
-            try:
-                await self._ask(end, made)
-            except StoreAway:
-                log.warning("an Idempotency-Key is known to this node alone")
-        return made
-
-    async def share_ticket(self, name: str, identity: Identity, sid: str, ttl_s: float) -> None:
-        """Have every node know a ticket, of which ``name`` is the digest."""
-        ticket = msgpack.packb((identity.owner, identity.key, sid))
-        try:
-            await self._ask(self.database.client.set, key("ticket", name), ticket, px=int(ttl_s * 1e3))
-        except StoreAway:
-            log.warning("a ticket is known to this node alone")
-
-    async def ticket(self, name: str, *, spend: bool) -> tuple[Identity, str] | None:
-        """Return whose ticket it is and of which session; with ``spend`` nobody else gets it after that.
-
-        Raises StoreAway.
-        """
-        client = self.database.client
-        found: Any = await self._ask(client.getdel if spend else client.get, key("ticket", name))
-        if found is None:
-            return None
-        owner, digest, sid = msgpack.unpackb(found)
-        return Identity(owner, digest), sid
-
-    async def _made(self, owner: str, digest: bytes, known: bytes, holder: str, sid: str) -> str:
-        """Return the id that another call made, which is here; "" if the node that worked at it is gone."""
-        if known != digest:
-            raise ProblemError(ProblemCode.BAD_REQUEST, "the Idempotency-Key was used with another body")
-        if sid:
-            try:
-                await self.locate(owner, sid)
-            except ProblemError as refused:
-                if refused.code is ProblemCode.ELSEWHERE:
-                    url = str(refused.members["url"]).removesuffix(f"/{sid}")
-                    raise elsewhere(refused.detail.partition(" ")[0], url) from None
+            await self.locate(owner, known.sid)
+        except ProblemError as refused:
+            if refused.code is not ProblemCode.ELSEWHERE:
                 raise
-            return sid
-        maker = next((node for node in self._membership.peers if node.holder == holder), None)
-        if maker is None:
-            return ""
-        raise elsewhere(maker.name, maker.url + SESSIONS)
+            url = str(refused.members["url"]).removesuffix(f"/{known.sid}")
+            raise elsewhere(refused.detail.partition(" ")[0], url) from None
+        return known.sid
 
     def place_for(self, sid: str) -> str | None:
         """Return the URL of a session's stream at a node that can take it up; None if no other node is there."""
@@ -282,11 +217,12 @@ class ClusterNode:
     async def _hand_over(self, session: Session) -> None:
         if session.ended:
             return
-        saved = await self.registry.store.save_whole(session)
-        if not saved:
-            log.error("session could not be saved whole", session=session.id)
-        else:
+        if await self.registry.store.save_whole(session):
             self.database.drop(session.id)
+            with suppress(StoreAway):
+                await self._ask(self.database.release, session.id, session.epoch)
+        else:
+            log.error("session could not be saved whole", session=session.id)
         self.registry.let_go(session, "node restart")
 
     async def _is_here(self, sid: str) -> bool:
@@ -294,7 +230,7 @@ class ClusterNode:
         session = self.registry.here(sid)
         if session is None:
             return False
-        if self._membership.holds or self._failed_at is not None:
+        if self._membership.holds or self._ask.is_away:
             return True
         # The lease has run out, because this process stood still: nothing was told to it.
         try:
@@ -375,26 +311,6 @@ class ClusterNode:
         streams = Counter(one.owner for one in sessions if one.attachment is not None)
         return Load(self._free(), not self.registry.draining, streams)
 
-    def _away_s(self) -> float:
-        """Return for how long Redis has not answered; 0 while it does."""
-        return 0.0 if self._failed_at is None else time.monotonic() - self._answered_at
-
-    async def _ask(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """Do what waits for Redis in a thread. Raises StoreAway."""
-        if self._failed_at is not None and time.monotonic() - self._failed_at < ASK_AGAIN_S:
-            raise StoreAway("Redis does not answer")
-        try:
-            done = await asyncio.get_running_loop().run_in_executor(self._threads, lambda: work(*args, **kwargs))
-        except (redis.RedisError, OSError) as failed:
-            if self._failed_at is None:
-                log.error("the store is away: streams go on", fault=str(failed))
-            self._failed_at = time.monotonic()
-            raise StoreAway(f"Redis does not answer ({failed})") from failed
-        if self._failed_at is not None:
-            log.info("the store is back", away_s=round(self._away_s(), 1))
-        self._failed_at, self._answered_at = None, time.monotonic()
-        return done
-
 
 def _as_websocket(url: str) -> str:
     return f"ws{url.removeprefix('http')}"
@@ -403,21 +319,3 @@ def _as_websocket(url: str) -> str:
 def _unknown_now(why: str) -> ProblemError:
     detail = f"it cannot be told now which node has the session: {why}"
     return ProblemError(ProblemCode.AT_CAPACITY, detail, retry_after_s=1.0)
-
-
-def make_node(settings: Settings, lanes: Lanes, metrics: Any) -> ClusterNode | None:
-    """Return this node, None where it is the only one. Raises StateError for a store that cannot be named."""
-    if settings.store is None:
-        return None
-    me = Node(settings.node, os.urandom(8).hex(), settings.node_url)
-    try:
-        database = RedisStore(
-            settings.store.get_secret_value(),
-            me,
-            metrics,
-            every_s=settings.store_every_s,
-            remember_s=settings.tombstone_s,
-        )
-    except ValueError as wrong:
-        raise StateError(f"MFCMT_STORE cannot be used: {wrong}") from wrong
-    return ClusterNode(settings, database, lanes)
