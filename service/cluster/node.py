@@ -33,6 +33,8 @@ KEEP_EVERY_BEATS = 15
 # A place of a session that starts is kept for it for this long.
 START_MS = 60_000
 LOOKS = 3
+# The answer to a creation waits no longer than this until the store has the session.
+ANNOUNCE_S = 1.0
 PLACES, PLACE_S = 10_000, 1.0
 SESSIONS = "/v1/sessions"
 
@@ -169,6 +171,11 @@ class ClusterNode:
             detail = f"the store has been away for {away_s:.0f} s: no new session could outlive this node"
             raise ProblemError(ProblemCode.AT_CAPACITY, detail, retry_after_s=BEAT_EVERY_S)
         return new_epoch()
+
+    async def announce(self, sid: str) -> None:
+        """Wait until the other nodes can find a new session, if the store answers."""
+        if not self._ask.is_away:
+            await asyncio.to_thread(self.database.flush, ANNOUNCE_S, sid)
 
     async def once(
         self, owner: str, name: str, data: bytes | memoryview, rest: str, make: Callable[[], Awaitable[str]]

@@ -58,6 +58,9 @@ class SharedNode(Protocol):
         Raises over-quota, and at-capacity if the store has been away for too long.
         """
 
+    async def announce(self, sid: str) -> None:
+        """Wait until the other nodes can find a new session, if the store answers."""
+
     async def once(
         self, owner: str, key: str, data: bytes | memoryview, rest: str, make: Callable[[], Awaitable[str]]
     ) -> str:

@@ -329,6 +329,8 @@ class SessionRegistry:
             with self._admission.place(session):
                 yield
                 self._add(session)
+            if self._node is not None:
+                await self._node.announce(session.id)
         except ProblemError as refused:
             if refused.code is ProblemCode.AT_CAPACITY and self._node and (other := self._node.another()):
                 raise other from refused
