@@ -36,6 +36,10 @@ class Lost:
     final: bool = False
 
 
+class NoWorkers(Exception):
+    """No process could begin."""
+
+
 def run_batch(
     work: Callable[[Job], Result], jobs: Iterable[Job], processes: int | None = None, backend: str = LOCAL
 ) -> Iterator[tuple[Job, Result | Lost]]:
@@ -62,16 +66,23 @@ def run_batch(
     width = _CLUSTERS[backend]() if backend in _CLUSTERS else lambda: os.cpu_count() or 1
     todo = dict(enumerate(jobs))
     losses: Counter[int] = Counter()
+    starts = 0
     while todo:
         together = {number: job for number, job in todo.items() if losses[number] < ATTEMPTS - 1}
         alone = dict([next(iter(todo.items()))])
         count = (processes or width()) if together else 1
-        for number, result in _run(work, together or alone, count, width(), backend, bool(losses)):
-            if isinstance(result, Lost) and not result.final and losses[number] < ATTEMPTS - 1:
-                losses[number] += 1
-                todo[number] = todo.pop(number)  # after those that have not had their turn
-            else:
-                yield todo.pop(number), result
+        try:
+            for number, result in _run(work, together or alone, count, width(), backend, bool(losses)):
+                if isinstance(result, Lost) and not result.final and losses[number] < ATTEMPTS - 1:
+                    losses[number] += 1
+                    todo[number] = todo.pop(number)  # after those that have not had their turn
+                else:
+                    yield todo.pop(number), result
+        except NoWorkers as failed:
+            starts += 1
+            if not losses or starts == ATTEMPTS:
+                raise DataError(f"the backend {backend} cannot work: {failed}") from failed
+            # A cluster that has just lost a machine may begin processes there until it notices.
 
 
 def _run(
@@ -82,15 +93,16 @@ def _run(
     ``width`` is the number of CPUs, and ``again`` says that some jobs were lost before.
     """
     begun: set[int] = set()
-    code = code_hash()
+    code = code_hash() if backend in _CLUSTERS else None
 
     def calls() -> Iterator[object]:
         for number, job in jobs.items():
             begun.add(number)
             yield delayed(_do)(work, number, job, code)
 
-    # joblib does a single job in this very process: two processes, of which one is idle, protect it.
-    count = max(2, min(processes, width) if backend in _CLUSTERS else processes)
+    # joblib works in this very process where it may have only one: two, of which one is idle, protect it. (Ray refuses
+    # more processes than its cluster has CPUs, so with a single one left the work is done here.)
+    count = max(2, processes) if backend == LOCAL else min(max(2, processes), width)
     options: dict[str, object] = {"max_nbytes": None}
     if backend == LOCAL:
         options |= {
@@ -100,7 +112,7 @@ def _run(
         }
     elif backend == "ray":
         # After a loss Ray may still count the CPUs of a machine that is gone, and would wait for them.
-        strategy = {"num_cpus": 0, "scheduling_strategy": "SPREAD"} if again else {"num_cpus": min(1, width / count)}
+        strategy = {"num_cpus": 0, "scheduling_strategy": "SPREAD"} if again else {"num_cpus": 1}
         options |= {"ray_remote_args": strategy}
     try:
         with parallel_config("loky" if backend == LOCAL else backend, n_jobs=count, **options):
@@ -110,15 +122,15 @@ def _run(
                 yield number, result
     except Exception as died:
         if not begun:
-            raise DataError(f"the {backend} cannot work: {died}") from died
+            raise NoWorkers(str(died).splitlines()[0]) from died
         for number in begun:
             yield number, Lost(f"its process died: {str(died).splitlines()[0]}")
 
 
-def _do(work: Callable[[Job], Result], number: int, job: Job, code: str) -> tuple[int, Result | Lost]:
-    """Do the job in the worker."""
+def _do(work: Callable[[Job], Result], number: int, job: Job, code: str | None) -> tuple[int, Result | Lost]:
+    """Do the job in the worker; ``code`` is the hash that its mfcmt must have."""
     cv2.setNumThreads(1)
-    if code != code_hash():
+    if code is not None and code != code_hash():
         return number, Lost(f"{platform.node()} has another mfcmt, whose results may differ: install the same")
     try:
         return number, work(job)
