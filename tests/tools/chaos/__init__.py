@@ -6,12 +6,16 @@ import argparse
 import statistics
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mfcmt_core.cli.progress import Progress
-from service.load.clips import open_clip
+from service.load.clips import Clip, open_clip
 
 from ..command import Findings, add_json, check_range, finish
 from .run import IDLE_S, RESTARTS, Plan, Report, chaos
+
+if TYPE_CHECKING:
+    from .cluster import ClusterReport
 
 MAX_SESSIONS, MAX_FPS, MAX_FAULTS, MAX_FRAMES = 256, 120.0, 10_000, 300
 
@@ -25,6 +29,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--fps", type=float, default=30.0, metavar="F", help="frames/s of each stream (30)")
     add("--lanes", type=int, default=2, metavar="N", help="lanes of the server that is started (2)")
     add("--seed", type=int, default=1, metavar="N", help="seed of the moments and the victims (1)")
+    add("--cluster", action="store_true", help="try three nodes behind HAProxy that share a Redis, and their clients")
+    add("--rounds", type=int, default=1, metavar="N", help="with --cluster: how often each fault is caused (1)")
     add("--frames", metavar="FOLDER", type=Path, help="images to send; default: a rendered clip")
     add("--box", metavar="X,Y,W,H", help="the target in the first frame; default: the ground truth, else the middle")
     add_json(parser)
@@ -37,7 +43,10 @@ def run(args: argparse.Namespace) -> int:
     check_range("--sessions", args.sessions, 1, MAX_SESSIONS)
     check_range("--fps", args.fps, 1, MAX_FPS)
     check_range("--lanes", args.lanes, 1, MAX_SESSIONS)
+    check_range("--rounds", args.rounds, 1, MAX_FAULTS)
     clip = open_clip(args.frames, args.box, MAX_FRAMES)
+    if args.cluster:
+        return _cluster(args, clip)
     plan = Plan(args.sessions, args.fps, args.lanes, args.faults, args.restarts, args.seed)
 
     def work() -> Findings:
@@ -47,6 +56,33 @@ def run(args: argparse.Namespace) -> int:
         return Findings(lines(report, f"{clip.name}, {width}x{height}"), report.as_dict(), report.flawless)
 
     return finish("chaos", args.json, work)
+
+
+def _cluster(args: argparse.Namespace, clip: Clip) -> int:
+    from .cluster import FAULTS, ClusterPlan, cluster_chaos  # needs the tests' packages
+
+    plan = ClusterPlan(args.sessions, args.fps, args.rounds, args.seed)
+
+    def work() -> Findings:
+        with Progress(len(FAULTS) * plan.rounds + 1, "steps") as bar:
+            report = cluster_chaos(clip, plan, bar.step)
+        return Findings(cluster_lines(report, clip.name), report.as_dict(), report.flawless)
+
+    return finish("chaos", args.json, work)
+
+
+def cluster_lines(report: ClusterReport, clip: str) -> Iterable[str]:
+    """Return the report on a cluster as text."""
+    plan = report.plan
+    yield f"{plan.sessions} streams of {clip} by three nodes, {plan.fps:g} frames/s each, seed {plan.seed}"
+    refused = "".join(f", {count} refused with {code}" for code, count in report.refused.items())
+    yield f"results lost       {report.lost} of {report.frames}{refused}"
+    yield f"results doubled    {report.doubled}"
+    yield f"results that differ    {report.differ} of {report.compared} (those before a session forgot something)"
+    yield f"sessions lost      {len(report.sessions_lost)}{''.join(f'; {error}' for error in report.sessions_lost)}"
+    yield f"sessions that forgot   {report.forgotten}, each told with lost_after"
+    for fault, seconds in report.pauses.items():
+        yield f"{fault:<18} longest pause of a stream {max(seconds):.1f} s"
 
 
 def lines(report: Report, clip: str) -> Iterable[str]:
