@@ -329,13 +329,24 @@ const scenarios = {
     await own.send(frames[3]);
     const { value: keyed } = await own.results.next().catch(refusal);
     own.close();
+    let spoilt = 0;
+    class Forgotten extends NodeWebSocket {
+      constructor(url, protocols, ...more) {
+        super(url, spoilt++ ? protocols : protocols.map((name) => name.replace(/^mfcmt\.ticket\..*/, "mfcmt.ticket.unknown")), ...more);
+      }
+    }
+    const keyHolder = new Client({ url: given.url, key: given.key, WebSocket: Forgotten });
+    const renewed = keyHolder.stream(session.id, { mode: "lossless" });
+    await renewed.send(frames[1]);
+    const { value: unknown } = await renewed.results.next().catch(refusal);
+    renewed.close();
     const spent = await session.ticket();
     const one = page.stream(session.id, { ticket: spent.ticket });
     await one.ready;
     one.close();
     const twice = await refusal(page.stream(session.id, { ticket: spent.ticket }).closed);
     await session.close();
-    return { stranger, handed, seqs: [before.seq, after.seq], keyed: keyed?.seq ?? null, twice };
+    return { stranger, handed, seqs: [before.seq, after.seq], keyed: keyed?.seq ?? null, renewed: [spoilt, unknown?.seq ?? null], twice };
   },
 };
 

@@ -382,5 +382,6 @@ async def test_a_key_or_a_ticket_is_needed_and_a_ticket_admits_once(own_server: 
     assert report["seqs"] == [1, 2]
     assert report["handed"] >= 2
     assert report["keyed"] == 3
+    assert report["renewed"] == [2, 4], "a ticket that the service forgot is replaced where the client has the key"
     assert report["twice"]["code"] == "unauthenticated"
     assert KEY not in server.log

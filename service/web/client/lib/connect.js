@@ -133,6 +133,8 @@ export class Connector {
     try {
       const { info } = await this.#client.getSession(this.#id);
       if (await this.#client.findPlace(this.#id)) return new MFCMTError({ code: "elsewhere", status: 307, known: true });
+      // The key is good, so it was our ticket that the node did not know: its store had forgotten it.
+      if (failed.status === 401) return connectionLost("the ticket was not known any more", failed);
       if (!info.stream.attached) return failed;
       return new MFCMTError({ code: "attached-elsewhere", status: 409, detail: "a stream is attached" });
     } catch (error) {
