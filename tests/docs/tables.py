@@ -16,7 +16,7 @@ from service.settings import Settings
 
 GUIDE = Path(__file__).resolve().parents[2] / "docs/operations.md"
 COMPOSE = GUIDE.parents[1] / "docker/compose.yaml"
-# The image says where the service listens and keeps its state; the others have a line of their own.
+# The image says where the service listens and keeps its state, HTTPS is Caddy's; the others have a line of their own.
 NOT_PASSED_ON = {
     "host",
     "port",
