@@ -137,7 +137,9 @@ def test_the_javascript_client_installs_from_a_service_and_from_a_path(
     call = line.partition("#")[0].replace("/path/to/mfcmt", str(ROOT)).replace(ADDRESS, server.url).split()
     words = [word for word in call if word != "ws"]  # which would come from a registry
     assert len(words) < len(call)
-    installed = run([*words, "--no-audit", "--no-fund", "--registry", "http://127.0.0.1:9"], cwd=tmp_path)
+    installed = run(
+        [*words, "--no-audit", "--no-fund", "--registry", "http://127.0.0.1:9", "--fetch-retries", "0"], cwd=tmp_path
+    )
     assert installed.returncode == 0, installed.stderr
     assert not (tmp_path / "node_modules" / "@mfcmt" / "client").is_symlink()
     (tmp_path / "node_modules" / "ws").symlink_to(ROOT / "tests" / "service" / "jsclient" / "node_modules" / "ws")
