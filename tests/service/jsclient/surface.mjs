@@ -36,7 +36,7 @@ const instances = {
 const inherited = new Set(["name", "message", "stack", "cause", "constructor"]);
 // The rest is between the client's own modules.
 const internal = {
-  Client: ["timeoutMs", "key", "WebSocket", "msgpack", "workerUrl", "streamUrl", "json", "call", "missed", "image", "scale", "openWorker", "findPlace"],
+  Client: ["timeoutMs", "key", "WebSocket", "msgpack", "workerUrl", "streamUrl", "json", "call", "missed", "image", "scale", "openWorker", "findPlace", "places"],
 };
 
 const present = {};
