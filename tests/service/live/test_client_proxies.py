@@ -93,7 +93,7 @@ async def test_a_proxy_that_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPa
     monkeypatch.setenv("http_proxy", "http://me:secret@127.0.0.1:9")
     named = r"http://tracking\.test through the proxy http://127\.0\.0\.1:9 \(http_proxy\)"
     async with AsyncClient("http://tracking.test", timeout_s=5) as client:
-        for call in (client.capabilities(), Connector(client.address, "id").open()):
+        for call in (client.capabilities(), Connector(client.places, "id").open()):
             with pytest.raises(ConnectionLost, match=named) as lost:
                 await call
             assert "secret" not in str(lost.value)
@@ -115,4 +115,4 @@ async def test_an_error_of_the_proxy_itself_names_it(monkeypatch: pytest.MonkeyP
         with pytest.raises(Problem, match=r"HTTP 502 through the proxy http://127\.0\.0\.1:\d+ \(HTTP_PROXY\)"):
             await client.capabilities()
         with pytest.raises(ConnectionLost, match=r"through the proxy .* \(HTTP_PROXY\).*502"):
-            await Connector(client.address, "id").open()
+            await Connector(client.places, "id").open()

@@ -133,9 +133,12 @@ async def test_takeover_keeps_what_is_in_work(server: OwnServer, client: AsyncCl
 
 
 def _handshake(server: OwnServer, session_id: str) -> socket.socket:
-    """A WebSocket after its handshake, as a bare socket."""
-    plain = socket.create_connection(("127.0.0.1", server.port))
+    """A WebSocket after its handshake, as a bare socket that buffers little of what it does not read."""
+    plain = socket.socket()
+    # Set before connecting: a window that shrinks later has the kernel drop what carries acknowledgements, too.
+    plain.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     plain.settimeout(20)
+    plain.connect(("127.0.0.1", server.port))
     plain.sendall(
         f"GET /v1/sessions/{session_id}/stream?mode=lossless HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\n"
         f"Upgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
@@ -188,7 +191,6 @@ async def test_a_client_that_never_reads_is_cut_off_alone(own_server: Serve, cli
             neighbour = await client.create(clip.frames[0], clip.box)
             before = usage(server.pid).rss_bytes
             plain = await asyncio.to_thread(_handshake, server, deaf.id)
-            plain.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             flood = asyncio.create_task(asyncio.to_thread(_flood, plain))
             async with attach(server, neighbour.id) as stream:
                 for index in range(1, 40):
