@@ -153,6 +153,7 @@ async def test_a_react_app_tracks_what_is_drawn_and_leaves_no_session(
         await page.mouse.move(left + x + w, top + y + h)
         await page.mouse.up()
         await told(page, "window.tracker.stream?.stats.answered > 10")
+        await told(page, "document.querySelector('svg rect')?.getBoundingClientRect().width > 0")
         shown = await page.locator("svg rect").bounding_box()
         state = await page.evaluate("({ ...window.tracker, stream: null, size: window.tracker.size })")
         sessions = await page.evaluate("window.tracker.stream.info.session.id")
