@@ -5,14 +5,16 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from importlib.metadata import version
 from secrets import token_bytes
 from typing import TYPE_CHECKING, Any
 
 import structlog
 from fastapi import FastAPI
+from starlette.datastructures import Headers
 from starlette.routing import WebSocketRoute
+from starlette.types import Scope
 
 from .api import (
     capabilities,
@@ -76,30 +78,7 @@ def create_app(
     clock
         The monotonic clock of expiry in seconds, which tests replace.
     """
-    settings = settings or Settings()
-    metrics = Metrics(_tracing(settings))
-    lanes = lanes or local_lanes(settings)
-    authenticator = Authenticator(settings, clock)
-    node = _node(settings, lanes, metrics)
-    registry = SessionRegistry(settings, lanes, metrics, clock, authenticator.owners, node)
-    secrets = [secret.get_secret_value().encode() for secret in settings.signing_keys]
-    signer = SnapshotSigner(secrets or [token_bytes(SECRET_BYTES)])
-    rate_limiter, byte_budget = RateLimiter(settings, clock), ByteBudget(settings.max_upload_bytes)
-    metrics.watch_byte_budget(byte_budget)
-    service = Service(
-        settings,
-        lanes,
-        registry,
-        authenticator,
-        metrics,
-        PrometheusExporter(metrics, registry.__len__, settings.capacity, lanes, registry.store.budget),
-        rate_limiter,
-        byte_budget,
-        signer,
-        *slots(settings),
-        node,
-    )
-
+    service = _service(settings or Settings(), lanes, clock)
     app = FastAPI(
         title="MFCMT",
         lifespan=_lifespan,
@@ -115,27 +94,43 @@ def create_app(
     for prefix, some in routers.items():
         for router in some:
             app.include_router(router, prefix=prefix)
-    for name in settings.bridges:
+    for name in service.settings.bridges:
         app.include_router(BRIDGES[name].load(service), include_in_schema=False)
-    prepare = None
-    if node is not None:
-        from .cluster.handshakes import Handshakes
-
-        prepare = Handshakes(node, authenticator).prepare
-    stream = StreamEndpoint(service, prepare)
+    stream = StreamEndpoint(service, _join(app, service))
     for path in ("/v1/sessions/{session_id}/stream", "/{path:path}"):  # the second refuses
         app.router.routes.append(WebSocketRoute(path, stream))
-    if node is not None:
-        from .cluster.router import SessionRouter
-
-        node.registry = registry
-        app.add_middleware(SessionRouter, node=node, settings=settings)
     app.add_middleware(RequestMiddleware, service=service)
     errors.install(app)
-    openapi.install(app, settings)
+    openapi.install(app, service.settings)
     app.state.documents = docs.Documents.of(app)
     app.state.assets = web.load()
     return app
+
+
+def _service(settings: Settings, lanes: Lanes | None, clock: Callable[[], float]) -> Service:
+    """Return the parts of the service."""
+    metrics = Metrics(_tracing(settings))
+    lanes = lanes or local_lanes(settings)
+    authenticator = Authenticator(settings, clock)
+    node = _node(settings, lanes, metrics)
+    registry = SessionRegistry(settings, lanes, metrics, clock, authenticator.owners, node)
+    secrets = [secret.get_secret_value().encode() for secret in settings.signing_keys]
+    signer = SnapshotSigner(secrets or [token_bytes(SECRET_BYTES)])
+    rate_limiter, byte_budget = RateLimiter(settings, clock), ByteBudget(settings.max_upload_bytes)
+    metrics.watch_byte_budget(byte_budget)
+    return Service(
+        settings,
+        lanes,
+        registry,
+        authenticator,
+        metrics,
+        PrometheusExporter(metrics, registry.__len__, settings.capacity, lanes, registry.store.budget),
+        rate_limiter,
+        byte_budget,
+        signer,
+        *slots(settings),
+        node,
+    )
 
 
 def slots(settings: Settings) -> tuple[ConcurrencyLimit, ConcurrencyLimit]:
@@ -167,6 +162,15 @@ def _node(settings: Settings, lanes: Lanes, metrics: Metrics) -> ClusterNode | N
     except ModuleNotFoundError as missing:
         raise StateError(f"MFCMT_STORE needs the package {missing.name}: pip install 'mfcmt[cluster]'") from missing
     return make_node(settings, lanes, metrics)
+
+
+def _join(app: FastAPI, service: Service) -> Callable[[Scope, Headers], Awaitable[None]] | None:
+    """Have this node find the sessions of others; return what a handshake needs for it, None for the only node."""
+    if service.node is None:
+        return None
+    from .cluster.make import join
+
+    return join(app, service, service.node)
 
 
 def _tracing(settings: Settings) -> Tracing | None:

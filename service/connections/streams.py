@@ -13,6 +13,7 @@ from websockets.frames import CloseCode, Frame
 from websockets.protocol import OPEN
 
 from .. import turns
+from ..inbox import Inbox
 from ..observability.sampled import Sampled
 from ..sessions.byte_budget import ByteBudget, Reservation
 from ..sessions.rate_limiter import TokenBucket
@@ -28,7 +29,6 @@ from .base import (
     Lingering,
     ended,
 )
-from .inbox import Inbox
 from .paced_reader import FRAMES_A_TURN, PacedReader
 from .whole import BINARY, TEXT, head_of, whole_message
 
@@ -51,7 +51,7 @@ class FrameProtocol(WebSocketsSansIOProtocol):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.queue: Inbox = Inbox()  # type: ignore[assignment]
+        self.queue: Inbox[Any] = Inbox()  # type: ignore[assignment]
         self._reader = self.conn.reader = PacedReader()
         self.conn.parser = self.conn.parse()  # reads from the new reader
         next(self.conn.parser)

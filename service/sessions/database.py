@@ -169,7 +169,7 @@ class BackgroundWriter(ABC):
             return not (self._waiting or self._batch or self._remains)
 
         with self._changed:
-            self._hurried |= set(self._waiting) if sid is None else {sid}
+            self._hurried |= self._waiting.keys() if sid is None else self._waiting.keys() & {sid}
             self._changed.notify_all()
             return self._changed.wait_for(done, timeout_s)
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from ..inbox import Inbox
 from ..protocol.enums import Mode, ProblemCode
 from ..protocol.problems import ProblemError
 from ..protocol.requests import Control
@@ -44,10 +43,10 @@ class FrameQueue:
         self._credit = credit
         self._share = share
         self._unanswered = 0
-        self._jobs: deque[Job] = deque()
+        self._inbox: Inbox[Job] = Inbox()
+        self._jobs = self._inbox.messages
         self._controls = 0
         self._for_next: list[Control] = []
-        self._wake: asyncio.Future[None] | None = None
 
     @property
     def empty(self) -> bool:
@@ -79,7 +78,7 @@ class FrameQueue:
                 self._on_superseded()
             else:
                 self._share.grow(len(frame.data))
-        self._put(Job(frame, controls))
+        self._inbox.put_nowait(Job(frame, controls))
 
     def put_control(self, control: Control) -> None:
         """Queue a control. Raises rate-limited when too many wait."""
@@ -89,13 +88,11 @@ class FrameQueue:
         if control.on == "next":
             self._for_next.append(control)
         else:
-            self._put(Job(None, [control]))
+            self._inbox.put_nowait(Job(None, [control]))
 
     async def next(self) -> Job:
         """Wait for the next job and return it."""
-        while not self._jobs:
-            self._wake = asyncio.get_running_loop().create_future()
-            await self._wake
+        await self._inbox.wait()
         return self._jobs.popleft()
 
     def answered(self, job: Job) -> None:
@@ -114,11 +111,6 @@ class FrameQueue:
         """Return the number of frames superseded since the last call."""
         dropped, self.dropped = self.dropped, 0
         return dropped
-
-    def _put(self, job: Job) -> None:
-        self._jobs.append(job)
-        if self._wake is not None and not self._wake.done():
-            self._wake.set_result(None)
 
     def discard(self) -> None:
         """Forget all that waits."""

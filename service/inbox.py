@@ -1,14 +1,16 @@
-"""The messages of a connection that the application has not taken yet."""
+"""What waits for the one task that takes it: messages of a connection, jobs of a stream."""
 
 from __future__ import annotations
 
 import asyncio
 from collections import deque
-from typing import Any
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
 
 
-class Inbox:
-    """Messages for the one task that reads them; it takes the place of uvicorn's ``asyncio.Queue``, at less cost.
+class Inbox(Generic[T]):
+    """A queue for one task that reads it, at less cost than ``asyncio.Queue``, which it is for uvicorn.
 
     Attributes
     ----------
@@ -17,10 +19,10 @@ class Inbox:
     """
 
     def __init__(self) -> None:
-        self.messages: deque[Any] = deque()
+        self.messages: deque[T] = deque()
         self._come: asyncio.Future[None] | None = None
 
-    def put_nowait(self, message: Any) -> None:
+    def put_nowait(self, message: T) -> None:
         """Add a message."""
         self.messages.append(message)
         if self._come is not None and not self._come.done():
