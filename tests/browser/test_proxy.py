@@ -2,35 +2,26 @@
 
 from __future__ import annotations
 
-import asyncio
-import getpass
 import shutil
-import subprocess
 from pathlib import Path
 
 from service.load.own import OwnServer, free_port
 from tests.conftest import require
+from tests.programs import nginx_with, running
 
 from .conftest import Open, loop
 
 pytestmark = loop
 SITE = """
-user {user};
-pid {folder}/pid; error_log {folder}/log; daemon off;
-events {{}}
-http {{
-  access_log off; client_body_temp_path {folder}/body; proxy_temp_path {folder}/proxy;
-  fastcgi_temp_path {folder}/f; uwsgi_temp_path {folder}/u; scgi_temp_path {folder}/s;
-  server {{
-    listen 127.0.0.1:{port};
-    location /mfcmt/ {{
-      proxy_pass http://127.0.0.1:{behind}/;
-      proxy_http_version 1.1;
-      proxy_set_header Host $http_host;
-      proxy_set_header Upgrade $http_upgrade;
-      proxy_set_header Connection "upgrade";
-      client_max_body_size 32m;
-    }}
+server {{
+  listen 127.0.0.1:{port};
+  location /mfcmt/ {{
+    proxy_pass http://127.0.0.1:{behind}/;
+    proxy_http_version 1.1;
+    proxy_set_header Host $http_host;
+    proxy_set_header Upgrade $http_upgrade;
+    proxy_set_header Connection "upgrade";
+    client_max_body_size 32m;
   }}
 }}
 """
@@ -39,21 +30,11 @@ http {{
 async def test_the_page_works_under_a_path_of_a_proxy(open_page: Open, server: OwnServer, tmp_path: Path) -> None:
     require(shutil.which("nginx"), "no nginx")
     port = free_port()
-    (tmp_path / "nginx.conf").write_text(
-        SITE.format(user=getpass.getuser(), folder=tmp_path, port=port, behind=server.port)
-    )
-    proxy = subprocess.Popen(["nginx", "-e", f"{tmp_path}/log", "-c", f"{tmp_path}/nginx.conf"])
-    try:
-        for _ in range(100):
-            if (tmp_path / "pid").exists():
-                break
-            await asyncio.sleep(0.1)
+    command = nginx_with(SITE.format(port=port, behind=server.port), tmp_path)
+    with running(command, tmp_path, (tmp_path / "pid").exists):
         async with open_page(f"http://127.0.0.1:{port}/mfcmt/") as user:
             await user.follow_sample(20)
             assert await user.status() in ("tracking", "uncertain")
             assert all("/mfcmt/" in url or url.startswith(("blob:", "data:")) for url in user.asked)
             manifest = await (await user.page.context.new_cdp_session(user.page)).send("Page.getAppManifest")
             assert manifest["errors"] == []
-    finally:
-        proxy.terminate()
-        proxy.wait()

@@ -42,7 +42,7 @@ def check(blob, frames):
 @FUZZ
 @given(st.lists(st.tuples(st.integers(0, 2**30), st.integers(1, 255)), min_size=1, max_size=20), st.booleans())
 def test_a_snapshot_with_flipped_bytes_is_refused_or_tracks(data, frames, flips, at_the_front):
-    """Return positions anywhere, or in the first kilobyte, which holds everything but the arrays."""
+    """The bytes lie anywhere, or in the first kilobyte, which holds everything but the arrays."""
     blob = bytearray(data)
     for place, mask in flips:
         blob[place % (1000 if at_the_front else len(blob))] ^= mask

@@ -6,8 +6,6 @@ import os
 import re
 import shutil
 import signal
-import subprocess
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -18,6 +16,7 @@ from service.client import AsyncClient
 from service.load.clips import Clip, sample
 from service.load.own import OwnServer, free_port
 from tests.conftest import ROOT, require
+from tests.programs import nginx_with, running
 from tests.service.cluster.nodes import KEY, Run
 from tests.service.cluster.nodes import node as make_node
 from tests.service.cluster.redis_server import RedisServer
@@ -35,15 +34,7 @@ def haproxy(folder: Path, port: int, nodes: list[OwnServer]) -> list[str]:
 
 def nginx(folder: Path, port: int, nodes: list[OwnServer]) -> list[str]:
     text = (CLUSTER / "nginx.conf").read_text()
-    (folder / "site.conf").write_text(led(text, nodes).replace("listen 8080", f"listen 127.0.0.1:{port}"))
-    temporary = " ".join(
-        f"{name}_temp_path {folder}/{name};" for name in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")
-    )
-    (folder / "nginx.conf").write_text(
-        f"pid {folder}/pid; error_log {folder}/log; daemon off;\nevents {{}}\n"
-        f"http {{ access_log off; {temporary} include {folder}/site.conf; }}\n"
-    )
-    return ["nginx", "-e", f"{folder}/log", "-c", f"{folder}/nginx.conf"]
+    return nginx_with(led(text, nodes).replace("listen 8080", f"listen 127.0.0.1:{port}"), folder)
 
 
 def led(text: str, nodes: list[OwnServer]) -> str:
@@ -73,18 +64,8 @@ def proxy(
         try:
             for node in nodes:
                 node.start()
-            with (folder / "out").open("wb") as out:
-                process = subprocess.Popen(make(folder, port, nodes), stdout=out, stderr=out)
-            try:
-                give_up = time.monotonic() + 60
-                while not ready(url):
-                    assert process.poll() is None, (folder / "out").read_text()
-                    assert time.monotonic() < give_up, (folder / "out").read_text()
-                    time.sleep(0.05)
+            with running(make(folder, port, nodes), folder, lambda: ready(url)):
                 yield url, nodes
-            finally:
-                process.terminate()
-                process.wait(20)
         finally:
             for node in nodes:
                 node.stop()

@@ -11,7 +11,6 @@ import socket
 import ssl
 import subprocess
 import tempfile
-import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from service.load.clips import Clip, open_clip, sample
 from service.load.own import OwnServer, free_port
 from service.protocol.problems import CATALOGUE, MEDIA_TYPE
 from tests.conftest import OTB_ROOT, ROOT, require
+from tests.programs import nginx_with, running
 
 HOST = "localhost"
 KEY = "a-key-for-the-proxy-tests"
@@ -67,14 +67,7 @@ def nginx(folder: Path, certificate: tuple[Path, Path], port: int, behind: int, 
         "tracker.example.org": HOST,
         **more,
     }
-    (folder / "site.conf").write_text(changed(ROOT / "docker/proxy/nginx.conf", changes))
-    (folder / "nginx.conf").write_text(
-        f"pid {folder}/pid; error_log {folder}/log; daemon off;\nevents {{}}\n"
-        f"http {{ access_log off; client_body_temp_path {folder}/body; proxy_temp_path {folder}/proxy;\n"
-        f"fastcgi_temp_path {folder}/f; uwsgi_temp_path {folder}/u; scgi_temp_path {folder}/s;\n"
-        f"include {folder}/site.conf; }}\n"
-    )
-    return Started(["nginx", "-e", f"{folder}/log", "-c", f"{folder}/nginx.conf"], {})
+    return Started(nginx_with(changed(ROOT / "docker/proxy/nginx.conf", changes), folder), {})
 
 
 def caddy(folder: Path, certificate: tuple[Path, Path], port: int, behind: int, **more: str) -> Started:
@@ -119,7 +112,7 @@ def behind() -> Iterator[OwnServer]:
 
 
 @contextmanager
-def running(make: Callable[..., Started], certificate: tuple[Path, Path], behind: int, **changes: str) -> Iterator[str]:
+def proxied(make: Callable[..., Started], certificate: tuple[Path, Path], behind: int, **changes: str) -> Iterator[str]:
     """A proxy before the port ``behind``: its URL."""
     program = make.__name__.partition("_")[0]
     require(shutil.which(program), f"no {program}")
@@ -131,18 +124,8 @@ def running(make: Callable[..., Started], certificate: tuple[Path, Path], behind
         started = make(folder, certificate, port, behind, **changes)
         for name, value in started.env.items():
             environment.setenv(name, value)
-        with (folder / "out").open("wb") as out:
-            process = subprocess.Popen(started.command, stdout=out, stderr=out)
-        try:
-            give_up = time.monotonic() + 60
-            while not answers(port):
-                assert process.poll() is None, (folder / "out").read_text()
-                assert time.monotonic() < give_up, (folder / "out").read_text()
-                time.sleep(0.05)
+        with running(started.command, folder, lambda: answers(port)):
             yield f"https://{HOST}:{port}"
-        finally:
-            process.terminate()
-            process.wait(20)
 
 
 PROXIES = pytest.mark.parametrize("make", [nginx, caddy], ids=["nginx", "caddy"])
@@ -150,7 +133,7 @@ PROXIES = pytest.mark.parametrize("make", [nginx, caddy], ids=["nginx", "caddy"]
 
 @pytest.fixture(params=[nginx, caddy, caddy_with_an_authority_of_its_own], ids=["nginx", "caddy", "caddy-authority"])
 def proxy(request: pytest.FixtureRequest, certificate: tuple[Path, Path], behind: OwnServer) -> Iterator[Proxy]:
-    with running(request.param, certificate, behind.port, **{"75s": "2s"}) as url:
+    with proxied(request.param, certificate, behind.port, **{"75s": "2s"}) as url:
         yield Proxy(url, behind)
 
 
@@ -226,7 +209,7 @@ def test_metrics_are_not_reachable_from_outside(proxy: Proxy) -> None:
 async def test_a_hundred_streams_pass(
     make: Callable[..., Started], certificate: tuple[Path, Path], behind: OwnServer, clip: Clip
 ) -> None:
-    with running(make, certificate, behind.port) as url:
+    with proxied(make, certificate, behind.port) as url:
         async with AsyncClient(url, key=KEY) as client:
             attached = asyncio.Event()
             streams = 0
@@ -254,7 +237,7 @@ async def test_a_hundred_streams_pass(
 def test_a_missing_service_is_answered_with_a_problem(
     make: Callable[..., Started], certificate: tuple[Path, Path]
 ) -> None:
-    with running(make, certificate, free_port()) as url, httpx2.Client(base_url=url, verify=context()) as client:
+    with proxied(make, certificate, free_port()) as url, httpx2.Client(base_url=url, verify=context()) as client:
         answer = client.get("/v1/sessions")
     assert_problem(answer, 503, "draining")
     assert answer.headers["retry-after"] == "1"
@@ -265,7 +248,7 @@ def test_too_many_calls_of_one_address_are_answered_with_a_problem(
 ) -> None:
     tight = {"rate=50r/s": "rate=1r/m", "burst=500 nodelay": "burst=2 nodelay"}
     with (
-        running(nginx, certificate, behind.port, **tight) as url,
+        proxied(nginx, certificate, behind.port, **tight) as url,
         httpx2.Client(base_url=url, verify=context()) as client,
     ):
         answers = [client.get("/livez") for _ in range(4)]
@@ -279,7 +262,7 @@ def test_too_many_calls_of_one_address_are_answered_with_a_problem(
 def test_a_body_above_nginx_s_limit_is_answered_with_a_problem(
     certificate: tuple[Path, Path], behind: OwnServer
 ) -> None:
-    with running(nginx, certificate, behind.port) as url:
+    with proxied(nginx, certificate, behind.port) as url:
         call = http.client.HTTPSConnection(url.removeprefix("https://"), timeout=30, context=context(certificate[0]))
         call.request("POST", "/v1/sessions", headers={"Content-Length": "70000000", "X-API-Key": KEY})
         answer = call.getresponse()
