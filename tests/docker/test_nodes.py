@@ -17,32 +17,17 @@ from service.load.clips import Clip, sample
 from service.load.own import OwnServer, free_port
 from tests.conftest import ROOT, require
 from tests.programs import nginx_with, running
-from tests.service.cluster.nodes import KEY, Run
+from tests.service.cluster.nodes import KEY, Run, haproxy, led
 from tests.service.cluster.nodes import node as make_node
 from tests.service.cluster.redis_server import RedisServer
 
-CLUSTER = ROOT / "docker/cluster"
 NAMES = ("node-1", "node-2", "node-3")
 HELD, LENGTH = 6, 12
 
 
-def haproxy(folder: Path, port: int, nodes: list[OwnServer]) -> list[str]:
-    text = (CLUSTER / "haproxy.cfg").read_text()
-    (folder / "haproxy.cfg").write_text(led(text, nodes).replace("bind :8080", f"bind 127.0.0.1:{port}"))
-    return ["haproxy", "-db", "-f", f"{folder}/haproxy.cfg"]
-
-
 def nginx(folder: Path, port: int, nodes: list[OwnServer]) -> list[str]:
-    text = (CLUSTER / "nginx.conf").read_text()
+    text = (ROOT / "docker/cluster/nginx.conf").read_text()
     return nginx_with(led(text, nodes).replace("listen 8080", f"listen 127.0.0.1:{port}"), folder)
-
-
-def led(text: str, nodes: list[OwnServer]) -> str:
-    """An example's text, which leads to these nodes."""
-    for number, node in enumerate(nodes, 1):
-        assert f"127.0.0.1:800{number}" in text
-        text = text.replace(f"127.0.0.1:800{number}", f"127.0.0.1:{node.port}")
-    return text
 
 
 @pytest.fixture(scope="module")
@@ -123,5 +108,5 @@ async def test_a_stream_goes_on_at_another_node_when_its_own_is_killed(
 
 def test_both_files_name_the_same_nodes() -> None:
     for name in ("haproxy.cfg", "nginx.conf"):
-        text = (CLUSTER / name).read_text()
+        text = (ROOT / "docker/cluster" / name).read_text()
         assert set(re.findall(r"node-\d", text)) == set(NAMES)

@@ -6,11 +6,13 @@ import asyncio
 import os
 import signal
 from collections.abc import AsyncIterator
+from pathlib import Path
 from typing import Any
 
 from service.client import AsyncClient, AsyncSession, Frame, Result, Resumed
 from service.load.clips import Clip
 from service.load.own import OwnServer, free_port
+from tests.conftest import ROOT
 
 from .redis_server import RedisServer
 
@@ -33,6 +35,21 @@ def node(name: str, store: RedisServer, **settings: object) -> OwnServer:
         "store_every_s": 0.2,
     }
     return OwnServer(port=port, **given | settings)
+
+
+def led(text: str, nodes: list[OwnServer]) -> str:
+    """Return the text of a proxy's example, changed to lead to these nodes."""
+    for number, node in enumerate(nodes, 1):
+        assert f"127.0.0.1:800{number}" in text
+        text = text.replace(f"127.0.0.1:800{number}", f"127.0.0.1:{node.port}")
+    return text
+
+
+def haproxy(folder: Path, port: int, nodes: list[OwnServer]) -> list[str]:
+    """Return the command of the HAProxy of docker/cluster before these nodes."""
+    text = led((ROOT / "docker/cluster/haproxy.cfg").read_text(), nodes)
+    (folder / "haproxy.cfg").write_text(text.replace("bind :8080", f"bind 127.0.0.1:{port}"))
+    return ["haproxy", "-db", "-f", f"{folder}/haproxy.cfg"]
 
 
 def client(server: OwnServer) -> AsyncClient:

@@ -24,6 +24,7 @@ from mfcmt_core.cli import UsageError
 from service.client import AsyncClient, ClientError, Frame, Problem, Result, Resumed
 from service.load.clips import Clip
 from service.load.own import OwnServer, free_port
+from tests.service.cluster.nodes import KEY, haproxy
 from tests.service.cluster.redis_server import RedisServer
 from tests.service.live.cable import Cable
 
@@ -31,7 +32,6 @@ from ..command import ROOT, Tell
 
 NAMES = ("node-1", "node-2", "node-3")
 FAULTS = ("kill", "stop", "drain", "partition", "Redis restarted", "Redis emptied")
-KEY = "a-key-of-all-the-nodes-0123456789"
 PAUSE_S = 1.0
 # Longer than a lease, so that the node's sessions are taken up by others meanwhile.
 STOP_S = 8.0
@@ -161,9 +161,9 @@ class _Cluster:
 
     async def _start(self, folder: Path, held: ExitStack, open_: AsyncExitStack) -> None:
         """Start three nodes, each with a cable to Redis, and HAProxy before them."""
-        text, port = (ROOT / "docker/cluster/haproxy.cfg").read_text(), free_port()
+        port = free_port()
         self._url = f"http://127.0.0.1:{port}"
-        for number, name in enumerate(NAMES, 1):
+        for name in NAMES:
             cable = await open_.enter_async_context(Cable(self._redis.port))
             node = OwnServer(
                 lanes=1,
@@ -179,10 +179,8 @@ class _Cluster:
             self._cables.append(cable)
             self._nodes.append(node)
             await asyncio.to_thread(held.enter_context, node)
-            text = text.replace(f"127.0.0.1:800{number}", f"127.0.0.1:{node.port}")
-        config = folder / "haproxy.cfg"
-        config.write_text(text.replace("bind :8080", f"bind 127.0.0.1:{port}"))
-        proxy = subprocess.Popen(["haproxy", "-db", "-f", config], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        command = haproxy(folder, port, self._nodes)
+        proxy = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         held.callback(proxy.wait)
         held.callback(proxy.terminate)
         async with AsyncClient(self._url, key=KEY) as client:
