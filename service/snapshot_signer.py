@@ -37,9 +37,12 @@ class SnapshotSigner:
 
     def sign(self, owner: str, body: bytes | memoryview) -> bytes:
         """Return ``body`` with a version and a signature for ``owner``."""
+        return b"".join((self.head(owner, body), body))
+
+    def head(self, owner: str, body: bytes | memoryview) -> bytes:
+        """Return what stands before ``body`` when it is signed for ``owner``."""
         start = _HEAD.pack(MAGIC, VERSION, self._first, len(body), b"")[:-_MAC_BYTES]
-        mac = _mac(self._secrets[self._first], (_PURPOSE, start, _with_length(owner), body))
-        return b"".join((start, mac, body))
+        return start + _mac(self._secrets[self._first], (_PURPOSE, start, _with_length(owner), body))
 
     def verify(self, owner: str, data: bytes | memoryview) -> memoryview:
         """Return the body of a snapshot of ``owner``. Raises BadSignature."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import asyncio
+from collections.abc import AsyncIterator, Iterable, Mapping
 from typing import Any
 
 from starlette.requests import Request
 from starlette.responses import Response
 
+from .. import turns
 from ..protocol.documents import to_json, to_msgpack
 from ..protocol.enums import ProblemCode
 from ..protocol.problems import MEDIA_TYPE, ProblemError
@@ -54,6 +56,15 @@ def encode(kind: str, content: Any, status: int = 200, headers: Mapping[str, str
     if kind == MSGPACK:
         return Response(to_msgpack(content), status, headers, MSGPACK)
     return Response(to_json(content), status, headers, JSON)
+
+
+async def in_parts(parts: Iterable[bytes | memoryview]) -> AsyncIterator[bytes | memoryview]:
+    """Yield the parts of an answer, between which the event loop does other work."""
+    for part in parts:
+        yield part
+        # Sending does not wait while the client reads fast.
+        await asyncio.sleep(0)
+        await turns.give_way()
 
 
 def problem_response(problem: ProblemError, request_id: str, path: str) -> Response:

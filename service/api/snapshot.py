@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Iterator
 
 from fastapi import APIRouter
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import Response, StreamingResponse
 
 from ..sessions.byte_budget import Reservation
 from . import contract
-from .answers import BYTES, SNAPSHOT, preferred
+from .answers import BYTES, SNAPSHOT, in_parts, preferred
 from .bodies import HELD
 from .deps import ServiceDep, SessionDep
+
+# Bytes that are handed to the connection at a time: to hand over megabytes would hold up the event loop.
+PART_BYTES = 256 * 1024
 
 router = APIRouter(tags=["snapshots"])
 
@@ -33,11 +37,20 @@ async def get_snapshot(request: Request, service: ServiceDep, session: SessionDe
     media_type = preferred(request, SNAPSHOT, BYTES)
     async with service.snapshot_slots.slot(session.owner):
         contents = await session.snapshot()
-        # Counts until the snapshot is made; from then on the connection counts what the client has not read.
+        # Counts until the call ends: the answer is sent from it.
         share: Reservation = request.scope["state"][HELD]
         share.grow(len(contents))
         # Signing megabytes would hold up the event loop.
-        data = await asyncio.to_thread(service.signer.sign, session.owner, contents)
-        share.resize(0)
-    service.metrics.snapshot_bytes.observe(len(data))
-    return Response(data, media_type=media_type)
+        head = await asyncio.to_thread(service.signer.head, session.owner, contents)
+    size = len(head) + len(contents)
+    service.metrics.snapshot_bytes.observe(size)
+    return StreamingResponse(
+        in_parts(_parts(head, contents)), media_type=media_type, headers={"Content-Length": str(size)}
+    )
+
+
+def _parts(head: bytes, contents: bytes | memoryview) -> Iterator[bytes | memoryview]:
+    yield head
+    view = memoryview(contents)
+    for at in range(0, len(view), PART_BYTES):
+        yield view[at : at + PART_BYTES]

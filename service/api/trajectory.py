@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Iterator
 from typing import Annotated, Any
 
 import msgpack
@@ -12,7 +11,6 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
 
-from .. import turns
 from ..protocol.answers import PastResult, Trajectory, message
 from ..protocol.documents import to_json
 from ..protocol.enums import ProblemCode, Status, TrajectoryFormat
@@ -24,7 +22,7 @@ from ..service import Service
 from ..sessions.session import Session
 from ..sessions.trajectory import TrajectoryEntry, unpacked
 from . import contract
-from .answers import JSON, MSGPACK, preferred
+from .answers import JSON, MSGPACK, in_parts, preferred
 from .deps import ServiceDep, SessionDep
 
 router = APIRouter(tags=["trajectory"])
@@ -87,21 +85,13 @@ class _InParts(StreamingResponse):
     """An answer in parts, between which the event loop does other work; each key has a few of them at once."""
 
     def __init__(self, service: Service, owner: str, parts: Iterator[bytes], media_type: str) -> None:
-        super().__init__(_parts(parts), media_type=media_type)
+        super().__init__(in_parts(parts), media_type=media_type)
         self._service, self._owner = service, owner
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send it. Raises over-quota."""
         async with self._service.trajectory_slots.slot(self._owner):
             await super().__call__(scope, receive, send)
-
-
-async def _parts(parts: Iterator[bytes]) -> AsyncIterator[bytes]:
-    for part in parts:
-        yield part
-        # Sending does not wait while the client reads fast.
-        await asyncio.sleep(0)
-        await turns.give_way()
 
 
 def _some(entries: Iterator[TrajectoryEntry]) -> Iterator[list[TrajectoryEntry]]:

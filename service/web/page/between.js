@@ -33,7 +33,7 @@ export class Between {
     const id = from.target;
     const [first, last] = [this.#number(from), this.#number(to)];
     const between = [...Array(last - first - 1).keys()].map((i) => first + 1 + i);
-    const known = new Map(between.flatMap((n) => (run.record(source.times[n])?.rows.has(id) ? [[n, run.record(source.times[n]).rows.get(id)]] : [])));
+    const known = new Map(between.map((n) => [n, run.record(source.times[n])?.rows.get(id)]).filter(([, row]) => row));
     const here = () => this.#app.run === run && this.#app.state === "starting";
     this.#app.halt();
     this.#say("Tracking back…");

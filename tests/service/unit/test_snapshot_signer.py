@@ -55,6 +55,12 @@ def test_secrets_rotate() -> None:
     assert refusal(before, "a", during.sign("a", BODY)) == "the signature does not match"
 
 
+def test_the_head_stands_before_the_body_that_it_signs() -> None:
+    signer = SnapshotSigner([NEW])
+    assert signer.verify("a", signer.head("a", BODY) + BODY) == BODY
+    assert signer.sign("a", BODY) == signer.head("a", BODY) + BODY
+
+
 @pytest.mark.parametrize("make", [SnapshotSigner([NEW]).sign, lambda owner, body: version_1(NEW, owner, body)])
 def test_every_flipped_bit_is_refused(make: object) -> None:
     seal = SnapshotSigner([NEW])
